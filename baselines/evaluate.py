@@ -1,0 +1,129 @@
+"""Evaluate a checkpoint on unseen start and goal poses.
+
+python baselines/evaluate.py --checkpoint runs/NAME/final_ckpt.pt --num_episodes 200
+
+The task and its options are those the policy was trained on unless others are given: another number of nodes or grippers is
+fine, a task with other observation channels is refused.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+from record_video import record_video
+from run_setup import check_schema, describe_episodes, load_policy, make_env
+
+from maniskill_grpd.learning import CheckpointError, TrainConfig, evaluate_policy
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalConfig:
+    """Options of an evaluation."""
+
+    checkpoint: str
+    """the checkpoint to evaluate"""
+    num_episodes: int = 200
+    """number of episodes, each with its own seed"""
+    seed: int = 1_000_000
+    """seed of the first episode; training uses seeds from 2**30 up, so smaller ones are unseen"""
+    num_envs: int = 50
+    """number of environments that run in parallel"""
+    env_id: str | None = None
+    """id of the task, if not the one of the training"""
+    env_kwargs: tuple[str, ...] = ()
+    """options of the task as key=value pairs that replace or extend those of the training"""
+    sim_backend: str | None = None
+    """where the simulation runs (auto, cpu, cuda), if not as in training"""
+    stochastic: bool = False
+    """sample actions instead of taking the mean"""
+    torch_threads: int = 1
+    """CPU threads PyTorch uses"""
+    video: Path | None = None
+    """also write a video of the first three episodes to this mp4"""
+    json: Path | None = None
+    """also write the results, per episode, to this file"""
+
+    def __post_init__(self) -> None:
+        for name in ("num_episodes", "num_envs", "torch_threads"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
+    """Evaluate as configured and print a table.
+
+    Returns:
+        Results per episode, as `evaluate_policy` gives them.
+    """
+    torch.set_num_threads(config.torch_threads)
+    policy, contents = load_policy(config.checkpoint)
+    task = task_config(config, TrainConfig.from_dict(contents["train_config"]))
+    env = make_env(task, min(config.num_envs, config.num_episodes))
+    check_schema(policy, env)
+    device = env.unwrapped.device
+    policy.to(device)
+    seeds = range(config.seed, config.seed + config.num_episodes)
+    generator = torch.Generator(device).manual_seed(config.seed) if config.stochastic else None
+    episodes = evaluate_policy(policy, env, seeds, not config.stochastic, generator=generator)
+    env.close()
+    print(
+        f"{task.env_id} {' '.join(task.env_kwargs)}: {config.num_episodes} episodes, seeds {seeds[0]} to {seeds[-1]}, "
+        f"policy after {contents['global_step']:,} steps"
+    )
+    print(describe_episodes(episodes))
+    if config.json is not None:
+        write_results(config, task, contents["global_step"], episodes)
+    if config.video is not None:
+        print(f"video: {record_video(policy, task, seeds[:3], config.video)}")
+    return episodes
+
+
+def task_config(config: EvalConfig, trained: TrainConfig) -> TrainConfig:
+    """Return the training options with the task replaced as asked for."""
+    given = {pair.partition("=")[0] for pair in config.env_kwargs}
+    kept = tuple(pair for pair in trained.env_kwargs if pair.partition("=")[0] not in given)
+    return dataclasses.replace(
+        trained,
+        env_id=config.env_id or trained.env_id,
+        env_kwargs=kept + config.env_kwargs,
+        sim_backend=config.sim_backend or trained.sim_backend,
+    )
+
+
+def write_results(
+    config: EvalConfig, task: TrainConfig, global_step: int, episodes: dict[str, torch.Tensor]
+) -> None:
+    """Write means and per-episode values."""
+    results = {
+        "checkpoint": config.checkpoint,
+        "env_id": task.env_id,
+        "env_kwargs": task.env_options,
+        "first_seed": config.seed,
+        "num_episodes": config.num_episodes,
+        "global_step": global_step,
+        "mean": {name: values.double().mean().item() for name, values in episodes.items()},
+        "episodes": {name: values.tolist() for name, values in episodes.items()},
+    }
+    config.json.parent.mkdir(parents=True, exist_ok=True)
+    config.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Evaluate; report what the user can mend in one line instead of a traceback."""
+    try:
+        evaluate(tyro.cli(EvalConfig, args=list(arguments), description=__doc__))
+    except (ValueError, OSError, CheckpointError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

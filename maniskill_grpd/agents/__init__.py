@@ -1,0 +1,15 @@
+"""Floating grippers as ManiSkill agents; importing this package registers them."""
+
+from maniskill_grpd.agents.delta_position_controller import (
+    DeltaPositionController,
+    DeltaPositionControllerConfig,
+)
+from maniskill_grpd.agents.floating_grippers import FloatingGrippers
+from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
+
+__all__ = [
+    "DeltaPositionController",
+    "DeltaPositionControllerConfig",
+    "FloatingGrippers",
+    "KinematicArticulation",
+]

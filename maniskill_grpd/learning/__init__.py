@@ -1,0 +1,20 @@
+"""On-policy training: BPP, PPO, rollouts, checkpoints. Knows tensors and graphs, not tasks."""
+
+from maniskill_grpd.learning.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from maniskill_grpd.learning.config import TrainConfig
+from maniskill_grpd.learning.evaluate import evaluate_policy
+from maniskill_grpd.learning.finite import NonFiniteError
+from maniskill_grpd.learning.projection import gaussian_kl_parts, project_gaussian
+from maniskill_grpd.learning.trainer import Trainer
+
+__all__ = [
+    "CheckpointError",
+    "NonFiniteError",
+    "TrainConfig",
+    "Trainer",
+    "evaluate_policy",
+    "gaussian_kl_parts",
+    "load_checkpoint",
+    "project_gaussian",
+    "save_checkpoint",
+]

@@ -1,0 +1,169 @@
+"""Checkpoints: one file, written atomically, read without executing anything in it."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import torch
+
+FORMAT = "maniskill_grpd.checkpoint"
+VERSION = 1
+
+_KEYS = {
+    "policy": "what rebuilds the policy: its `config`, plain types",
+    "weights": "state_dict of the policy, normaliser included",
+    "optimizer": "state_dict of the optimizer",
+    "value_scale": "statistics of the returns",
+    "generators": "states of the random generators",
+    "train_config": "TrainConfig.to_dict()",
+    "iteration": "finished iterations",
+    "global_step": "environment steps taken",
+    "best_score": "[success_at_end, return] of best_ckpt.pt, None before the first evaluation",
+}
+
+
+_UNREADABLE = (
+    RuntimeError,
+    OSError,
+    EOFError,
+    ValueError,
+    pickle.UnpicklingError,
+    zipfile.BadZipFile,
+)
+"""What torch.load raises for files that are cut short or are something else."""
+
+
+class CheckpointError(RuntimeError):
+    """A file is not a usable checkpoint; the message says why and what to do."""
+
+
+def save_checkpoint(path: str | os.PathLike[str], contents: dict[str, Any]) -> None:
+    """Write a checkpoint so that the file is at every moment either the old or the new one.
+
+    Args:
+        path: File to write; its folder must exist.
+        contents: The entries of a checkpoint (see `load_checkpoint`), tensors and plain types only.
+
+    Raises:
+        ValueError: If entries are missing or unknown.
+        OSError: If the file cannot be written, because the disk is full for example. What was
+            there before is untouched.
+    """
+    if set(contents) != set(_KEYS):
+        raise ValueError(f"a checkpoint holds {sorted(_KEYS)}, got {sorted(contents)}")
+    buffer = io.BytesIO()
+    torch.save({"format": FORMAT, "version": VERSION, **contents}, buffer)
+    path = Path(path)
+    try:
+        _write_atomically(path, buffer.getbuffer())
+    except OSError as error:
+        kept = "the previous one is intact" if path.exists() else "nothing was written"
+        raise OSError(
+            error.errno, f"cannot write checkpoint ({error.strerror}; {kept})", str(path)
+        ) from error
+
+
+def load_checkpoint(
+    path: str | os.PathLike[str], device: str | torch.device = "cpu"
+) -> dict[str, Any]:
+    """Read a checkpoint.
+
+    Args:
+        path: File that `save_checkpoint` wrote.
+        device: Where its tensors go.
+
+    Returns:
+        The entries `policy`, `weights`, `optimizer`, `value_scale`, `generators`, `train_config`,
+        `iteration`, `global_step` and `best_score`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        CheckpointError: If the file is truncated, of another program or of another version.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no checkpoint at {path}")
+    data = path.read_bytes()  # apart from the parsing, which reports a cut file as an OSError too
+    try:
+        contents = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
+    except _UNREADABLE as error:
+        raise CheckpointError(
+            f"{path} cannot be read: it is truncated or not a checkpoint of this package "
+            f"({len(data)} bytes)"
+        ) from error
+    if not isinstance(contents, dict) or contents.get("format") != FORMAT:
+        raise CheckpointError(f"{path} was written by another program, not by maniskill_grpd")
+    if contents.get("version") != VERSION:
+        raise CheckpointError(
+            f"{path} has checkpoint version {contents.get('version')}, this package reads {VERSION}"
+        )
+    missing = sorted(set(_KEYS) - set(contents))
+    if missing:
+        raise CheckpointError(f"{path} lacks {', '.join(missing)}")
+    return {key: contents[key] for key in _KEYS}
+
+
+def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:
+    """Load the weights of a checkpoint into a policy built with the same options.
+
+    Args:
+        policy: Has `config`, plain types that tell policies of different shape apart.
+        contents: A loaded checkpoint.
+
+    Raises:
+        CheckpointError: If the checkpoint is of a policy with other options or another schema.
+    """
+    differences = describe_differences(contents["policy"], policy.config)
+    if differences:
+        raise CheckpointError(
+            "the checkpoint does not fit this policy: " + "; ".join(differences[:8])
+        )
+    try:
+        policy.load_state_dict(contents["weights"])
+    except RuntimeError as error:
+        raise CheckpointError(f"the checkpoint does not fit this policy: {error}") from error
+
+
+def describe_differences(stored: Any, given: Any, name: str = "") -> list[str]:
+    """List where two nested structures of plain types differ, as "name: checkpoint has x, ..."."""
+    if isinstance(stored, dict) and isinstance(given, dict):
+        found = []
+        for key in sorted(set(stored) | set(given), key=str):
+            inner = f"{name}.{key}" if name else str(key)
+            found += describe_differences(stored.get(key), given.get(key), inner)
+        return found
+    as_lists = [list(x) if isinstance(x, tuple) else x for x in (stored, given)]
+    if as_lists[0] == as_lists[1]:
+        return []
+    return [f"{name}: the checkpoint has {stored!r}, here it is {given!r}"]
+
+
+def _write_atomically(path: Path, data: memoryview) -> None:
+    """Write beside the target, force to disk, then rename: a crash leaves one whole file."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    _sync_folder(path.parent)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the rename itself survive a power cut, where the platform lets a folder be opened."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

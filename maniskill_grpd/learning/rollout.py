@@ -1,0 +1,116 @@
+"""Storage of one rollout: T steps of B environments, with whole observation graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+Graph = dict[str, Any]
+"""A nested dictionary of tensors that share their leading dimensions."""
+
+
+def map_graph(function: Callable[[torch.Tensor], torch.Tensor], graph: Graph) -> Graph:
+    """Apply a function to every tensor of a nested dictionary."""
+    return {
+        key: map_graph(function, value) if isinstance(value, dict) else function(value)
+        for key, value in graph.items()
+    }
+
+
+def graph_items(graph: Graph, prefix: str = "") -> Iterator[tuple[str, torch.Tensor]]:
+    """Yield the tensors of a nested dictionary with dotted names, such as "object.position"."""
+    for key, value in graph.items():
+        if isinstance(value, dict):
+            yield from graph_items(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Batch:
+    """M transitions as the losses see them. The old policy is the one that collected the rollout."""
+
+    graph: Graph
+    """Raw observation graphs, leading dimension M."""
+    actions: torch.Tensor
+    """Actions that were taken, (M, A * 3)."""
+    log_probs: torch.Tensor
+    """Log probabilities of the actions under the old policy, (M,)."""
+    old_mean: torch.Tensor
+    """Action means of the old policy, (M, A, 3)."""
+    old_std: torch.Tensor
+    """Action standard deviations of the old policy, (M, A, 1) or (M, A, 3)."""
+    advantages: torch.Tensor
+    """Advantages, normalised if so configured, (M,)."""
+    returns: torch.Tensor
+    """Value targets in the units of the rewards, (M,)."""
+
+
+class Rollout:
+    """Preallocated time-major storage, (T, B, ...) per tensor; nothing is allocated while collecting.
+
+    Args:
+        num_steps: T.
+        graph: An observation graph of the environments, (B, ...) per tensor: gives shapes and device.
+        mean: An action mean, (B, A, 3).
+        std: An action standard deviation, (B, A, 1) or (B, A, 3).
+    """
+
+    def __init__(self, num_steps: int, graph: Graph, mean: torch.Tensor, std: torch.Tensor) -> None:
+        def like(tensor: torch.Tensor) -> torch.Tensor:
+            return tensor.new_empty((num_steps, *tensor.shape))
+
+        num_envs, num_actuators, action_dim = mean.shape
+        scalars = mean.new_zeros(num_envs)
+        self.num_steps = num_steps
+        self.num_envs = num_envs
+        self.graph = map_graph(like, graph)
+        self.actions = mean.new_empty((num_steps, num_envs, num_actuators * action_dim))
+        self.means, self.stds = like(mean), like(std)
+        self.log_probs, self.rewards, self.values = like(scalars), like(scalars), like(scalars)
+        self.final_values = mean.new_zeros((num_steps, num_envs))
+        self.terminated, self.truncated = like(scalars.bool()), like(scalars.bool())
+        self.next_value = scalars.clone()
+        self.advantages, self.returns = like(scalars), like(scalars)
+
+    def store_graph(self, step: int, graph: Graph) -> None:
+        """Copy the observation graphs of one step, (B, ...) per tensor.
+
+        Raises:
+            ValueError: If a tensor is missing or has changed its shape since the first observation.
+        """
+        given = dict(graph_items(graph))
+        for name, storage in graph_items(self.graph):
+            if name not in given or given[name].shape != storage.shape[1:]:
+                found = tuple(given[name].shape) if name in given else "nothing"
+                raise ValueError(
+                    f"observation graph: {name} must stay {tuple(storage.shape[1:])}, got {found}"
+                )
+            storage[step].copy_(given[name])
+
+    def flat_graph(self) -> Graph:
+        """Return the graphs of all transitions as views, (T * B, ...) per tensor."""
+        return map_graph(lambda tensor: tensor.flatten(0, 1), self.graph)
+
+    def select(self, index: torch.Tensor) -> Batch:
+        """Gather transitions, one copy per tensor.
+
+        Args:
+            index: Positions in the flattened (T * B) order, int64 (M,).
+        """
+
+        def pick(tensor: torch.Tensor) -> torch.Tensor:
+            return tensor.flatten(0, 1).index_select(0, index)
+
+        return Batch(
+            graph=map_graph(pick, self.graph),
+            actions=pick(self.actions),
+            log_probs=pick(self.log_probs),
+            old_mean=pick(self.means),
+            old_std=pick(self.stds),
+            advantages=pick(self.advantages),
+            returns=pick(self.returns),
+        )

@@ -1,0 +1,108 @@
+"""Where the numbers of a run go: metrics.jsonl, TensorBoard and, if asked, Weights & Biases."""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+
+from maniskill_grpd.learning.config import TrainConfig
+
+
+class RunLog:
+    """Writes each row of metrics to every destination.
+
+    Args:
+        run_dir: Folder of the run, which must exist.
+        config: Options of the run.
+        resumed_iteration: Rows of later iterations are dropped: they were written after the
+            checkpoint that is resumed, and will be written again. 0 starts afresh.
+
+    Raises:
+        RuntimeError: If `config.track` is set and wandb is not installed.
+    """
+
+    def __init__(self, run_dir: Path, config: TrainConfig, resumed_iteration: int = 0) -> None:
+        self._wandb = _start_wandb(run_dir, config) if config.track else None
+        self._path = run_dir / "metrics.jsonl"
+        last_step = truncate_rows(self._path, resumed_iteration)
+        self._file = self._path.open("a", encoding="utf-8")
+        self._writer = SummaryWriter(str(run_dir), purge_step=last_step + 1 if last_step else None)
+        if not resumed_iteration:
+            self._writer.add_text("hyperparameters", _markdown_table(config.to_dict()))
+
+    def add(self, kind: str, iteration: int, global_step: int, metrics: dict[str, float]) -> None:
+        """Write one row.
+
+        Args:
+            kind: "train" or "eval".
+            iteration: Finished iterations.
+            global_step: Environment steps taken, the abscissa of every plot.
+            metrics: Values by tag, such as "train/return".
+        """
+        row = {"kind": kind, "iteration": iteration, "global_step": global_step, **metrics}
+        self._file.write(json.dumps(row) + "\n")
+        self._file.flush()
+        for tag, value in metrics.items():
+            self._writer.add_scalar(tag, value, global_step)
+        if self._wandb is not None:
+            self._wandb.log(metrics, step=global_step)
+
+    def close(self) -> None:
+        """Finish writing."""
+        self._file.close()
+        self._writer.close()
+        if self._wandb is not None:
+            self._wandb.finish()
+
+
+def read_rows(path: Path, kind: str | None = None) -> list[dict[str, Any]]:
+    """Read metrics.jsonl; a last line that a crash cut short is left out.
+
+    Args:
+        path: The file; a missing one has no rows.
+        kind: Only rows of this kind.
+    """
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()
+    rows = [json.loads(line) for line in lines[:-1]]
+    if lines:
+        with suppress(json.JSONDecodeError):
+            rows.append(json.loads(lines[-1]))
+    return [row for row in rows if kind is None or row["kind"] == kind]
+
+
+def truncate_rows(path: Path, iteration: int) -> int:
+    """Drop the rows of iterations after `iteration` and return the last step that is kept."""
+    kept = [row for row in read_rows(path) if row["iteration"] <= iteration] if iteration else []
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_text("".join(json.dumps(row) + "\n" for row in kept), encoding="utf-8")
+    temporary.replace(path)
+    return kept[-1]["global_step"] if kept else 0
+
+
+def _start_wandb(run_dir: Path, config: TrainConfig) -> Any:
+    try:
+        import wandb  # optional, and slow to import
+    except ImportError as error:
+        raise RuntimeError("--track needs Weights & Biases: pip install wandb") from error
+    return wandb.init(
+        project=config.wandb_project_name,
+        entity=config.wandb_entity,
+        group=config.wandb_group,
+        name=run_dir.name,
+        id=run_dir.name,
+        resume="allow",
+        config=config.to_dict(),
+        tags=[config.algorithm, config.policy],
+        sync_tensorboard=False,
+        dir=str(run_dir),
+    )
+
+
+def _markdown_table(fields: dict[str, Any]) -> str:
+    return "|param|value|\n|-|-|\n" + "\n".join(f"|{k}|{v}|" for k, v in fields.items())

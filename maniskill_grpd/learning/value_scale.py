@@ -1,0 +1,68 @@
+"""Running scale of returns, so that the value network regresses numbers of order one."""
+
+from __future__ import annotations
+
+import torch
+
+
+class ValueScale:
+    """Maps the output of the value network to returns: V = mean + std * output.
+
+    With rewards in [0, 1] per step and gamma 0.99 returns reach 60; without a scale the value loss
+    would drown the policy loss in shared layers and in the gradient norm. Mean and mean square are
+    averages over recent rollouts, bias-corrected as in Adam: early returns say little about late
+    ones.
+
+    Args:
+        decay: Weight of the past when a rollout is added, in [0, 1).
+    """
+
+    def __init__(self, decay: float = 0.9) -> None:
+        self.decay = decay
+        self._weight = 0.0
+        self._mean = 0.0
+        self._mean_square = 0.0
+
+    @property
+    def mean(self) -> float:
+        """Mean of recent returns; zero before the first update."""
+        return self._mean / self._weight if self._weight else 0.0
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of recent returns, one before the first update."""
+        if not self._weight:
+            return 1.0
+        variance = self._mean_square / self._weight - self.mean**2
+        # Constant returns have no scale; below 1e-2 the regression would amplify noise.
+        return max(variance, 1e-4) ** 0.5
+
+    def update(self, returns: torch.Tensor) -> None:
+        """Add the returns of one rollout."""
+        returns = returns.double()
+        self._weight = self.decay * self._weight + 1.0 - self.decay
+        self._mean = self.decay * self._mean + (1.0 - self.decay) * returns.mean().item()
+        square = returns.square().mean().item()
+        self._mean_square = self.decay * self._mean_square + (1.0 - self.decay) * square
+
+    def normalize(self, returns: torch.Tensor) -> torch.Tensor:
+        """Return the regression targets of the value network."""
+        return (returns - self.mean) / self.std
+
+    def denormalize(self, outputs: torch.Tensor) -> torch.Tensor:
+        """Return values in the units of the returns."""
+        return self.mean + self.std * outputs
+
+    def state_dict(self) -> dict[str, float]:
+        """Return the statistics as plain numbers."""
+        return {
+            "weight": self._weight,
+            "mean": self._mean,
+            "mean_square": self._mean_square,
+        }
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Restore what `state_dict` returned."""
+        self._weight = state["weight"]
+        self._mean = state["mean"]
+        self._mean_square = state["mean_square"]

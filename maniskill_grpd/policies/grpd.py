@@ -1,0 +1,177 @@
+"""Graph-Reinforced Policy for Deformables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import torch
+from torch import nn
+
+from maniskill_grpd.graphs import GraphSchema
+from maniskill_grpd.policies.distribution import ActionDistribution
+from maniskill_grpd.policies.layers import (
+    DeepSetsValue,
+    DirectionMagnitudeDecoder,
+    EdgeGeometry,
+    EquivariantUpdate,
+    IsotropicStd,
+    NodeEmbedding,
+    SteerableConv,
+)
+from maniskill_grpd.policies.policy import Policy
+
+_Features = tuple[torch.Tensor, torch.Tensor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GRPDOptions:
+    """Options of GRPD."""
+
+    scalar_dim: int = 32
+    """Scalar channels of a node."""
+    vector_dim: int = 16
+    """Vector channels of a node."""
+    num_layers: int = 1
+    """Rounds of object-object message passing (eq. 36, 37)."""
+    num_radial: int = 6
+    """Radial functions of the edges between actuators and from objects to actuators."""
+    num_local_radial: int = 1
+    """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
+    max_degree: int = 2
+    """Largest degree of the harmonics from objects to actuators, 1 or 2."""
+    magnitude: Literal["softplus", "relu"] = "softplus"
+    """Activation of the action's length; relu is eq. 52 as printed."""
+    init_std: float = 0.5
+    """Standard deviation before training, in units of the largest action."""
+    state_dependent_std: bool = True
+    """False: one learned standard deviation for all states and actuators."""
+    value_dim: int = 64
+    """Width of the value function."""
+    value_encoder: Literal["shared", "separate"] = "shared"
+    """Whether the value function reads the actor's node features or has an encoder of its own."""
+
+    def __post_init__(self) -> None:
+        for name in ("scalar_dim", "vector_dim", "num_radial", "num_local_radial", "value_dim"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.num_layers < 0:
+            raise ValueError(f"num_layers must not be negative, got {self.num_layers}")
+        if self.max_degree not in (1, 2):
+            raise ValueError(f"max_degree must be 1 or 2, got {self.max_degree}")
+
+
+class GRPD(Policy):
+    """SE(3)-equivariant policy on heterogeneous graphs.
+
+    An encoder passes messages between object nodes (eq. 36, 37), between actuators (38, 39) and from
+    all object nodes to every actuator (40, 41), each with weights of its own. Actuator features are
+    decoded to direction times magnitude with isotropic noise (48-54); a DeepSets function of all node
+    features gives the value (8).
+
+    Rotating, translating the scene, and gravity with it, rotates the mean action and leaves standard
+    deviation and value alone, to rounding. Any number of nodes and actuators is accepted.
+
+    Args:
+        schema: What the graphs hold.
+        options: Sizes and variants.
+    """
+
+    name = "grpd"
+    Options = GRPDOptions
+
+    def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
+        super().__init__(schema, asdict(options))
+        dims = (options.scalar_dim, options.vector_dim)
+        self.encoder = GRPDEncoder(schema, options)
+        self.mean = DirectionMagnitudeDecoder(*dims, options.magnitude)
+        self.std = IsotropicStd(*dims, options.init_std, options.state_dependent_std)
+        self.value_encoder: GRPDEncoder | None = None
+        if options.value_encoder == "separate":
+            self.value_encoder = GRPDEncoder(schema, options)
+        self.critic = DeepSetsValue([dims, dims], options.value_dim)
+
+    def evaluate(
+        self, graph: Mapping[str, Any], *, actor: bool, critic: bool
+    ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
+        mask = graph["actuator"]["mask"]
+        distribution = value = nodes = None
+        if actor or self.value_encoder is None:
+            nodes = self.encoder(graph)
+        if actor:
+            mean = self.mean(*nodes[1]).masked_fill(~mask[..., None], 0.0)
+            distribution = ActionDistribution(mean, self.std(*nodes[1]), mask)
+        if critic:
+            if self.value_encoder is not None:
+                nodes = self.value_encoder(graph)
+            masks = (graph["object"]["mask"], mask)
+            value = self.critic([(*node, m) for node, m in zip(nodes, masks, strict=True)])
+        return distribution, value
+
+
+class GRPDEncoder(nn.Module):
+    """Message passing from a normalised graph to features of all nodes (eq. 36-41).
+
+    Args:
+        schema: What the graphs hold.
+        options: Sizes and variants.
+    """
+
+    def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
+        super().__init__()
+        dims = (options.scalar_dim, options.vector_dim)
+        self.embed_object = NodeEmbedding(
+            schema.object.num_vectors, schema.object.num_scalars, *dims
+        )
+        self.embed_actuator = NodeEmbedding(
+            schema.actuator.num_vectors, schema.actuator.num_scalars, *dims
+        )
+        edge, size = schema.edge_length, schema.length_scale
+        self.local_geometry = EdgeGeometry(options.num_local_radial, 1, edge, 0.5 * edge)
+        self.actuator_geometry = EdgeGeometry(options.num_radial, 1, size, 0.05 * size)
+        self.global_geometry = EdgeGeometry(
+            options.num_radial, options.max_degree, size, 0.05 * size
+        )
+        self.object_rounds = nn.ModuleList(
+            _MessageRound(dims, options.num_local_radial, 1) for _ in range(options.num_layers)
+        )
+        self.actuator_round = _MessageRound(dims, options.num_radial, 1)
+        self.global_round = _MessageRound(dims, options.num_radial, options.max_degree)
+
+    def forward(self, graph: Mapping[str, Any]) -> tuple[_Features, _Features]:
+        """Encode a graph.
+
+        Args:
+            graph: A normalised graph.
+
+        Returns:
+            (scalars (B, n, C), vectors (3, B, n, D)) of object nodes and of actuators.
+        """
+        nodes, grippers = graph["object"], graph["actuator"]
+        gravity = graph["gravity"]
+        # Component first, like all vectors inside the network.
+        points = nodes["position"].movedim(-1, 0).contiguous()
+        tools = grippers["position"].movedim(-1, 0).contiguous()
+        objects = self.embed_object(nodes["vectors"], nodes["scalars"], gravity)
+        if len(self.object_rounds):
+            edges = self.local_geometry.neighbors(points, nodes["mask"], nodes["neighbors"])
+            for message_round in self.object_rounds:
+                objects = message_round(objects, objects, edges)
+        actuators = self.embed_actuator(grippers["vectors"], grippers["scalars"], gravity)
+        edges = self.actuator_geometry.complete(tools, grippers["mask"], tools, exclude_self=True)
+        actuators = self.actuator_round(actuators, actuators, edges)
+        edges = self.global_geometry.complete(points, nodes["mask"], tools)
+        return objects, self.global_round(objects, actuators, edges)
+
+
+class _MessageRound(nn.Module):
+    """Convolution along one edge type, then the update of its receivers (eq. 2, 3)."""
+
+    def __init__(self, dims: tuple[int, int], num_radial: int, max_degree: int) -> None:
+        super().__init__()
+        self.conv = SteerableConv(*dims, num_radial=num_radial, max_degree=max_degree)
+        self.update = EquivariantUpdate(*dims, message_dim=dims[0])
+
+    def forward(self, senders: _Features, receivers: _Features, edges: Any) -> _Features:
+        return self.update(*receivers, *self.conv(*senders, edges))

@@ -1,0 +1,155 @@
+"""Where messages flow, and the geometric weights they carry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from maniskill_grpd.policies.layers.radial_basis import RadialBasis
+from maniskill_grpd.policies.layers.solid_harmonics import solid_harmonics
+
+_SMALLEST_SHARE = 0.05
+"""Share of all senders below which a radial function is no longer averaged but fades out."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompleteEdges:
+    """Edges from every sender to every receiver.
+
+    Attributes:
+        weights: Kernel factors w[m, b], (B, M, R * Q, S): M harmonics, R receivers, Q radial
+            functions, S senders; normalised over senders, zero on masked ones.
+        num_radial: Q.
+    """
+
+    weights: torch.Tensor
+    num_radial: int
+
+    def moments(self, features: torch.Tensor, max_degree: int) -> tuple[torch.Tensor, ...]:
+        """Sum the features of the senders, weighted by the kernel factors, as one matrix product.
+
+        Args:
+            features: Sender features, (B, S, F).
+            max_degree: Harmonics up to this degree are used.
+
+        Returns:
+            (max_degree + 1)^2 tensors (B, R, Q * F), one per harmonic.
+        """
+        batch, _, width = features.shape
+        count = (max_degree + 1) ** 2
+        rows, senders = self.weights.shape[2:]
+        weights = self.weights[:, :count].reshape(batch, count * rows, senders)
+        moments = torch.bmm(weights, features)
+        receivers = rows // self.num_radial
+        return moments.view(batch, count, receivers, self.num_radial * width).unbind(1)
+
+
+@dataclass(frozen=True, eq=False)
+class NeighborEdges:
+    """Edges from a short list of neighbours to each node.
+
+    Attributes:
+        index: Row of the sender in the flattened (B * N, F) features, (K, B * N); padding points at
+            the first row.
+        weights: Kernel factors, (M, K, Q, B * N, 1); zero on padding.
+    """
+
+    index: torch.Tensor
+    weights: torch.Tensor
+
+    def gather(self, features: torch.Tensor) -> torch.Tensor:
+        """Features of the neighbours, (L, B, N, F) -> (K, L, B * N, F)."""
+        leading, width = features.shape[0], features.shape[-1]
+        rows = self.index.shape[1]
+        offset = torch.arange(leading, device=features.device) * rows
+        # One gather along the first axis: its backward pass is a scatter of whole rows.
+        index = (self.index[:, None] + offset[:, None]).reshape(-1)
+        gathered = features.reshape(-1, width).index_select(0, index)
+        return gathered.view(-1, leading, rows, width)
+
+
+class EdgeGeometry(nn.Module):
+    r"""Kernel factors of the edges (eq. 29, 30):
+
+        w[m, b] = phi_b(|p|) Y_m(p / sqrt(|p|^2 + s^2)) / (sum_senders phi_b + 0.05 n)
+
+    with p the position of the sender relative to the receiver, s a softening length and n the number
+    of senders. The softened direction is smooth where sender and receiver coincide, which is where a
+    gripper holds a node. The denominator makes each moment a local average, the same for a coarse and
+    a fine mesh.
+
+    Nothing here is learned; without gradients on positions no graph is recorded.
+
+    Symmetry: translations leave p alone; under a rotation w[m, :] turns like the harmonics.
+
+    Args:
+        num_radial: Number Q of radial functions.
+        max_degree: Largest degree of the harmonics, 0 to 2.
+        cutoff: Unit of distance of the radial functions [m].
+        softening: Softening length s [m].
+    """
+
+    def __init__(self, num_radial: int, max_degree: int, cutoff: float, softening: float) -> None:
+        super().__init__()
+        self.basis = RadialBasis(num_radial, cutoff)
+        self.max_degree = max_degree
+        self.softening = softening
+
+    def complete(
+        self,
+        senders: torch.Tensor,
+        sender_mask: torch.Tensor,
+        receivers: torch.Tensor,
+        *,
+        exclude_self: bool = False,
+    ) -> CompleteEdges:
+        """Connect every receiver with every sender.
+
+        Args:
+            senders: Positions (3, B, S) [m].
+            sender_mask: (B, S) bool; masked senders send nothing.
+            receivers: Positions (3, B, R) [m].
+            exclude_self: Senders are the receivers, and none sends to itself.
+        """
+        offsets = senders[:, :, None] - receivers[:, :, :, None]
+        mask = sender_mask[:, None].to(offsets.dtype)
+        if exclude_self:
+            mask = mask * (1.0 - torch.eye(mask.shape[-1], dtype=mask.dtype, device=mask.device))
+        radial, harmonics = self._factors(offsets)
+        radial = torch.stack(radial, dim=2) * mask[:, :, None]  # (B, R, Q, S)
+        count = mask.sum(-1, keepdim=True).clamp(min=1.0)[:, :, None]
+        radial = radial / (radial.sum(-1, keepdim=True) + _SMALLEST_SHARE * count)
+        weights = torch.stack(harmonics, dim=1)[:, :, :, None] * radial[:, None]
+        return CompleteEdges(weights.flatten(2, 3), self.basis.num_basis)
+
+    def neighbors(
+        self, position: torch.Tensor, mask: torch.Tensor, neighbors: torch.Tensor
+    ) -> NeighborEdges:
+        """Connect every node with its listed neighbours.
+
+        Args:
+            position: (3, B, N) [m].
+            mask: (B, N) bool; masked nodes send nothing.
+            neighbors: (B, N, K) int64, -1 where there is none.
+        """
+        batch, count, _ = neighbors.shape
+        neighbors = neighbors.permute(2, 0, 1)
+        first = torch.arange(batch, device=neighbors.device)[:, None] * count
+        index = (neighbors.clamp(min=0) + first).reshape(-1, batch * count)
+        rows = position.reshape(3, -1)
+        offsets = rows[:, index] - rows[:, None]  # (3, K, B N)
+        valid = (mask.reshape(-1)[index] & (neighbors >= 0).reshape(index.shape)).to(rows.dtype)
+        radial, harmonics = self._factors(offsets)
+        radial = torch.stack(radial, dim=1) * valid[:, None]  # (K, Q, B N)
+        share = radial.sum(0) + _SMALLEST_SHARE * valid.sum(0).clamp(min=1.0)
+        weights = torch.stack(harmonics)[:, :, None] * (radial / share)
+        return NeighborEdges(index, weights.unsqueeze(-1))
+
+    def _factors(self, offsets: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Radial functions and harmonics of offsets (3, ...), each entry (...)."""
+        x, y, z = offsets.unbind(0)
+        soft = (x * x + y * y + z * z + self.softening**2).sqrt()
+        harmonics = solid_harmonics(x / soft, y / soft, z / soft, self.max_degree)
+        return self.basis(soft - self.softening), harmonics

@@ -1,0 +1,87 @@
+"""From the channels of a node to its first features."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import torch
+from torch import nn
+
+_SATURATIONS = (0.1, 0.02)
+"""Lengths, in units of the channel's RMS, above which a copy of a vector is a mere direction."""
+_LOG_FLOOR = 0.01
+"""Length, in units of the channel's RMS, below which log-lengths no longer fall."""
+_TINY = 1e-12
+"""Under the root of squared lengths; their gradient is infinite at zero."""
+
+
+class NodeEmbedding(nn.Module):
+    r"""Lift input vectors and scalars (eq. 42, 43) to node features.
+
+    Offsets range from the size of the object to the centimetre at which success is decided. One linear
+    scale cannot show both, so every input vector v and gravity g appear as
+
+        vectors:  v,  v / sqrt(|v|^2 + e^2) for e in (0.1, 0.02),  g
+        scalars:  |v|,  log(|v|^2 + 0.01^2),  |g|,  dot products of all pairs among {v, g} and among
+                  {v / sqrt(|v|^2 + 0.1^2), g},  the input scalars
+
+    all equivariant or invariant, followed by one gated layer
+
+        (a, b) = W_s scalars,   h = silu(a),   V = 2 sigmoid(b) * W_v vectors.
+
+    Positions are no input: only their differences are, in the convolutions.
+
+    Shapes: vectors (B, n, V, 3), scalars (B, n, S), gravity (B, 3) -> (B, n, C), (3, B, n, D).
+    Symmetry: scalars invariant, vectors equivariant under O(3).
+
+    Args:
+        num_vectors: V.
+        num_scalars: S.
+        scalar_dim: C.
+        vector_dim: D.
+    """
+
+    def __init__(
+        self, num_vectors: int, num_scalars: int, scalar_dim: int, vector_dim: int
+    ) -> None:
+        super().__init__()
+        self.split = [scalar_dim, vector_dim]
+        num_lifted = num_vectors * (1 + len(_SATURATIONS)) + 1
+        num_pairs = num_vectors * (num_vectors + 1) // 2
+        num_invariants = 2 * num_vectors + 1 + 2 * num_pairs + num_scalars
+        self.to_vectors = nn.Linear(num_lifted, vector_dim, bias=False)
+        self.to_scalars = nn.Linear(num_invariants, scalar_dim + vector_dim)
+
+    def forward(
+        self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        lifted, invariant = self.lift(vectors, scalars, gravity)
+        hidden, gate = self.to_scalars(invariant).split(self.split, dim=-1)
+        return nn.functional.silu(hidden), self.to_vectors(lifted) * (2.0 * torch.sigmoid(gate))
+
+    def lift(
+        self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Equivariant copies (3, B, n, L) and invariants (B, n, I) of the inputs; nothing learned."""
+        vectors = vectors.permute(2, 3, 0, 1).contiguous()  # (V, 3, B, n)
+        gravity = gravity.t()[None, :, :, None].expand(1, *vectors.shape[1:])
+        squared = vectors.square().sum(1)
+        copies = [vectors * (squared[:, None] + e * e).rsqrt() for e in _SATURATIONS]
+        invariant = torch.cat(
+            [
+                (squared + _TINY).sqrt(),
+                0.25 * torch.log(squared + _LOG_FLOOR**2) + 1.0,
+                (gravity.square().sum(1) + _TINY).sqrt(),
+                _dots(torch.cat([vectors, gravity])),
+                _dots(torch.cat([copies[0], gravity])),
+                scalars.permute(2, 0, 1),
+            ]
+        )
+        lifted = torch.cat([vectors, *copies, gravity])
+        return lifted.permute(1, 2, 3, 0), invariant.permute(1, 2, 0)
+
+
+def _dots(vectors: torch.Tensor) -> torch.Tensor:
+    """Dot products of all pairs of distinct vectors, (V, 3, ...) -> (V (V - 1) / 2, ...)."""
+    pairs = combinations(vectors.unbind(0), 2)
+    return torch.stack([(first * second).sum(0) for first, second in pairs])

@@ -1,0 +1,520 @@
+"""The bridge between ManiSkill and the batched deformable solver."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sapien
+import torch
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import common, sapien_utils
+from mani_skill.utils.structs.types import SimConfig
+
+from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
+from maniskill_grpd.physics import Model, Solver
+from maniskill_grpd.tasks import channels
+from maniskill_grpd.tasks.batched_scene import BatchedScene
+from maniskill_grpd.tasks.compute_device import choose_compute_device
+from maniskill_grpd.tasks.drawing import Drawing, choose_painter
+from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_along
+from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
+from maniskill_grpd.tasks.render_device import choose_render_device
+from maniskill_grpd.tasks.seeds import expand_seeds
+from maniskill_grpd.tasks.state_layout import StateDict, read_flat, read_rows
+
+if TYPE_CHECKING:
+    from maniskill_grpd.agents import FloatingGrippers
+
+POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
+"""Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
+CONTACT_DISTANCE = 1.5
+"""Nodes count as touching the table when their centre is closer to it than this many radii."""
+CONTROL_FREQ = 20
+"""Control steps per second [Hz]; each is one step of the solver, which has its own substeps."""
+MAX_DRAWN_WORLDS = 16
+"""`render()` draws one image per world for at most this many worlds."""
+
+
+class DeformableEnv(BaseEnv):
+    """A batch of worlds in which floating grippers manipulate a deformable object.
+
+    The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
+    takes pictures of it. `num_envs` is free on both devices.
+
+    One `step(action)` goes through:
+        1. `agent.set_action`          checks the action and moves the gripper targets
+        2. `scene.step` -> `solver.step`  moves the worlds, grippers reach their targets
+        3. `evaluate`                  measures the worlds: success, fail, distances
+        4. `get_obs` -> `_get_obs_graph` / `_get_obs_extra`
+        5. `compute_dense_reward`
+
+    A task implements `_build_model`, `_choose_gripper_nodes`, `_start_episode`, `evaluate`,
+    `compute_dense_reward` and `_drawing`, names its channels in `OBJECT_CHANNELS` and `GRIPPER_CHANNELS`,
+    and fills those that are its own in `_object_values` and `_gripper_values`. Tensors that belong to
+    an episode, such as goals, come from `_episode_tensor`: they become part of the state.
+
+    Args:
+        num_envs: Number of worlds B.
+        obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill where SAPIEN
+            can draw, or any of them joined as in "state+graph" and "graph+rgb".
+        sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
+        render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
+            `render_mode="rgb_array"` draws simple pictures with matplotlib.
+        pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
+        graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default. The
+            simulation keeps all nodes.
+        num_threads: CPU threads of the solver, chosen by it by default.
+        settings: Further settings of ManiSkill's `BaseEnv`.
+
+    Raises:
+        ValueError: If an option has a value that is not allowed; says which are.
+    """
+
+    SUPPORTED_OBS_MODES = (
+        "graph", "state", "state_dict", "none", "sensor_data", "any_textures", "pointcloud",
+    )  # fmt: skip
+    OBJECT_CHANNELS: tuple[Channel, ...] = (
+        channels.VELOCITY,
+        channels.ARC,
+        channels.HELD,
+        channels.CONTACT,
+    )
+    GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
+
+    agent: FloatingGrippers
+    scene: BatchedScene
+    model: Model
+    """The deformable object."""
+    solver: Solver
+    """State of all worlds."""
+    graph_schema: GraphSchema
+    """What `obs["graph"]` holds."""
+
+    def __init__(
+        self,
+        *,
+        num_envs: int = 1,
+        obs_mode: str | None = None,
+        render_mode: str | None = None,
+        sim_backend: str = "auto",
+        render_backend: str | None = "auto",
+        pose_range: str = "full",
+        graph_nodes: int | None = None,
+        num_threads: int | None = None,
+        **settings: Any,  # noqa: ANN401
+    ) -> None:
+        _check_choice("pose_range", pose_range, tuple(POSE_RANGES))
+        _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
+        if num_envs < 1:
+            raise ValueError(f"num_envs must be >= 1, got {num_envs}")
+        base_mode, self._has_graph = split_observation_mode(obs_mode)
+        self._full_obs_mode = obs_mode or "graph"
+        self._pose_share = POSE_RANGES[pose_range]
+        self._num_graph_nodes = graph_nodes
+        self._num_threads = num_threads
+        self._compute_device = choose_compute_device(sim_backend)
+        self._render_device_name = choose_render_device(render_backend, render_mode, base_mode)
+        self._drawn_worlds = range(num_envs)
+        super().__init__(
+            num_envs=num_envs,
+            obs_mode=base_mode,
+            render_mode=render_mode,
+            # Both are replaced in `backend`. PhysX stays empty, and on the CPU: it must not take GPU memory.
+            sim_backend="physx_cpu",
+            render_backend="none",
+            **settings,
+        )
+        if render_mode in ("sensors", "all") and not needs_camera(base_mode):
+            self.obs_mode_struct.visual.rgb = True  # what ManiSkill's pictures of sensors show
+
+    # ------------------------------------------------------------------ what a task implements
+
+    @abstractmethod
+    def _build_model(self) -> Model:
+        """Build the deformable object."""
+
+    @abstractmethod
+    def _choose_gripper_nodes(self) -> np.ndarray:
+        """Return the node that each gripper holds at the start, (A,) int64."""
+
+    @abstractmethod
+    def _start_episode(self, worlds: torch.Tensor) -> torch.Tensor:
+        """Draw an episode for some worlds (b,): write goals, return start positions (b, N, 3) [m].
+
+        Random numbers come from `_draw_uniform`, so that the episode of a world depends on its own
+        seed alone.
+        """
+
+    @abstractmethod
+    def _drawing(self, world: int) -> Drawing:
+        """Return what there is to see in a world."""
+
+    def _allocate_episode(self) -> None:
+        """Create the tensors of an episode with `_episode_tensor`; none by default."""
+
+    def _object_values(self) -> dict[str, torch.Tensor]:
+        """Return the object's channels by name: vectors (B, N, 3), scalars (B, N)."""
+        solver = self.solver
+        normal, offset = solver.plane[:, None, :3], solver.plane[:, 3:]
+        height = (solver.positions * normal).sum(-1) - offset
+        return {
+            "velocity": solver.velocities,
+            "arc": self._object_arc,
+            "held": (solver.holder >= 0).float(),
+            "contact": (height < CONTACT_DISTANCE * self.model.radius).float(),
+        }
+
+    def _gripper_values(self) -> dict[str, torch.Tensor]:
+        """Return the grippers' channels by name: vectors (B, A, 3), scalars (B, A)."""
+        return {
+            "velocity": self.agent.robot.qvel.unflatten(1, (-1, 3)),
+            "arc": self._gripper_arc,
+            "gripper_status": self._gripper_closed,
+        }
+
+    # ------------------------------------------------------------------ building the scene
+
+    @property
+    def _default_sim_config(self) -> SimConfig:
+        return SimConfig(sim_freq=CONTROL_FREQ, control_freq=CONTROL_FREQ)
+
+    @property
+    def backend(self) -> Any:  # noqa: ANN401
+        """ManiSkill's record of the backends in use: "warp_cpu" or "warp_cuda", and what draws."""
+        return self._backend
+
+    @backend.setter
+    def backend(self, backend: Any) -> None:  # noqa: ANN401
+        # ManiSkill forbids several worlds on a backend of the name "physx_cpu", which this is not.
+        backend.sim_backend = f"warp_{self._compute_device.type}"
+        if self._render_device_name is not None:
+            backend.render_device = sapien.Device(self._render_device_name)
+            backend.render_backend = f"sapien_{self._render_device_name}"
+        self._backend = backend
+
+    def _adopt_compute_device(self) -> None:
+        """Move to the device of the solver.
+
+        Not earlier than the first reset: ManiSkill's constructor starts PhysX on the GPU when it meets
+        a CUDA device.
+        """
+        if self.device != self._compute_device:
+            self.device = self.backend.device = self._compute_device
+            self._elapsed_steps = self._elapsed_steps.to(self.device)
+
+    def _setup_scene(self) -> None:
+        if self._sim_steps_per_control != 1:
+            raise ValueError(
+                "sim_config must have sim_freq equal to control_freq (the solver has its own substeps), "
+                f"got {self._sim_freq} and {self._control_freq}"
+            )
+        self._set_scene_config()
+        self.model = self._build_model()
+        self._gripper_nodes = torch.as_tensor(self._choose_gripper_nodes(), device=self.device)
+        self.solver = Solver(
+            self.model,
+            self.num_envs,
+            len(self._gripper_nodes),
+            control_dt=self.control_timestep,
+            device=self.device,
+            num_threads=self._num_threads,
+        )
+        systems: list[sapien.System] = [sapien.physx.PhysxCpuSystem()]
+        if self.backend.render_device is not None:
+            systems.append(sapien.render.RenderSystem(self.backend.render_device))
+        self.scene = BatchedScene(
+            sapien.Scene(systems),
+            self.solver,
+            sim_config=self.sim_config,
+            device=self.device,
+            backend=self.backend,
+        )
+        self.scene.px.timestep = self.sim_timestep
+
+    def _load_agent(self, options: dict) -> None:
+        super()._load_agent(options, sapien.Pose())
+        self.agent.robot.set_floor(self.solver.plane, self.model.radius)
+
+    def _load_scene(self, options: dict) -> None:
+        self._episode_tensors: dict[str, torch.Tensor] = {}
+        self._allocate_episode()
+        self._prepare_graph()
+        self._painter = choose_painter(self)
+
+    def _prepare_graph(self) -> None:
+        """Choose the nodes of the graph and set up what does not change during an episode."""
+        model, device, worlds = self.model, self.device, self.num_envs
+        held = self._gripper_nodes.cpu().numpy()
+        nodes = choose_graph_nodes(model, self._num_graph_nodes, held)
+        self._graph_nodes = (
+            None if len(nodes) == model.num_nodes else torch.as_tensor(nodes, device=device)
+        )
+        neighbors = torch.as_tensor(neighbors_along(model, nodes), device=device)
+        self._neighbors = neighbors.expand(worlds, -1, -1)
+        arc = torch.as_tensor(np.abs(2.0 * model.arc - 1.0), dtype=torch.float32, device=device)
+        self._object_arc = arc.expand(worlds, -1)
+        self._gripper_arc = arc[self._gripper_nodes].expand(worlds, -1)
+        self._gripper_closed = torch.ones_like(self._gripper_arc)
+        self.graph_schema = GraphSchema(
+            object=_node_schema(self.OBJECT_CHANNELS),
+            actuator=_node_schema(self.GRIPPER_CHANNELS),
+            length_scale=model.length,
+            edge_length=float(model.rest_lengths.mean()) * (model.num_nodes - 1) / (len(nodes) - 1),
+        )
+
+    def _episode_tensor(self, name: str, *shape: int) -> torch.Tensor:
+        """Return zeros (B, *shape), float32, that are part of the state of an episode."""
+        self._episode_tensors[name] = torch.zeros(self.num_envs, *shape, device=self.device)
+        return self._episode_tensors[name]
+
+    # ------------------------------------------------------------------ reset
+
+    def reset(
+        self, seed: int | Sequence[int] | None = None, options: dict | None = None
+    ) -> tuple[Any, dict]:
+        """Start new episodes in all worlds, or in those of `options["env_idx"]`.
+
+        Args:
+            seed: One seed for each world being reset; one number seeds the first, the others follow
+                from it. None goes on with the random numbers of each world.
+            options: As ManiSkill's `BaseEnv.reset` understands them.
+
+        Raises:
+            ValueError: If the number of seeds fits neither.
+        """
+        self._adopt_compute_device()
+        worlds = None if options is None else options.get("env_idx")
+        if seed is None:
+            return super().reset(options=options)
+        seeds = expand_seeds(seed, self.num_envs if worlds is None else len(worlds))
+        if worlds is None:
+            return super().reset(seed=seeds, options=options)
+        self._seed_worlds(seeds, common.to_numpy(worlds))
+        determinism, self._enhanced_determinism = self._enhanced_determinism, False
+        try:
+            return super().reset(options=options)
+        finally:
+            self._enhanced_determinism = determinism
+
+    def _seed_worlds(self, seeds: list[int], worlds: np.ndarray) -> None:
+        """Seed some worlds. ManiSkill would seed all of them, and so change the others' next episodes."""
+        self._batched_main_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
+        self._batched_episode_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
+        self._episode_seed[worlds] = seeds
+
+    def _initialize_episode(self, env_idx: torch.Tensor, options: dict) -> None:
+        worlds = self._world_indices(env_idx)
+        self.solver.reset(worlds, self._start_episode(worlds), self._gripper_nodes)
+        self.agent.robot.place(worlds)
+
+    def _draw_uniform(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
+        """Draw numbers in [-1, 1) for some worlds (b,), from the random generator of each, (b, num)."""
+        draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
+        return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
+
+    # ------------------------------------------------------------------ one control step
+
+    def _before_simulation_step(self) -> None:
+        self.agent.robot.start_motion()
+
+    def _after_simulation_step(self) -> None:
+        self.agent.robot.finish_motion(self.control_timestep)
+
+    def get_info(self) -> dict[str, torch.Tensor]:
+        """Return `elapsed_steps` and what `evaluate` measures, as copies."""
+        info = super().get_info()
+        info["elapsed_steps"] = info["elapsed_steps"].clone()
+        return info
+
+    @property
+    def obs_mode(self) -> str:
+        """The observation mode, with the graph."""
+        return self._full_obs_mode
+
+    def get_obs(self, info: dict | None = None, unflattened: bool = False) -> Any:  # noqa: ANN401
+        """Return the observation, as copies; `info` is what `get_info` returned for this state."""
+        info = self.get_info() if info is None else info
+        obs = super().get_obs(info, unflattened=unflattened)
+        return self._with_graph(obs, self._get_obs_graph()) if self._has_graph else obs
+
+    def _flatten_raw_obs(self, obs: Any) -> Any:  # noqa: ANN401
+        if not (self._has_graph and isinstance(obs, dict) and "graph" in obs):
+            return super()._flatten_raw_obs(obs)
+        graph = obs.pop("graph")
+        return self._with_graph(super()._flatten_raw_obs(obs), graph)
+
+    @staticmethod
+    def _with_graph(obs: Any, graph: dict) -> dict:  # noqa: ANN401
+        rest = obs if isinstance(obs, dict) else {"state": obs}
+        return {**rest, "graph": graph}
+
+    def _get_obs_graph(self) -> dict[str, Any]:
+        """Build the graph (section "graph" of `graph_schema`) from the state of the solver."""
+        solver, schema, nodes = self.solver, self.graph_schema, self._graph_nodes
+        object_nodes = _stack_channels(solver.positions, self._object_values(), schema.object)
+        if nodes is not None:
+            object_nodes = {key: value[:, nodes] for key, value in object_nodes.items()}
+        object_nodes["neighbors"] = self._neighbors.clone()
+        grippers = _stack_channels(
+            solver.gripper_positions, self._gripper_values(), schema.actuator
+        )
+        return {"object": object_nodes, "actuator": grippers, "gravity": solver.gravity.clone()}
+
+    def compute_normalized_dense_reward(
+        self,
+        obs: Any,
+        action: torch.Tensor,
+        info: dict,  # noqa: ANN401
+    ) -> torch.Tensor:
+        """Return the dense reward, which is in [0, 1] in all tasks."""
+        return self.compute_dense_reward(obs=obs, action=action, info=info)
+
+    # ------------------------------------------------------------------ state
+
+    def get_state_dict(self) -> StateDict:
+        """Return everything that the future depends on, as copies; leaves (B, D)."""
+        state = super().get_state_dict()
+        state["solver"] = {name: value.clone() for name, value in self.solver.state().items()}
+        state["episode"] = {name: t.flatten(1).clone() for name, t in self._episode_tensors.items()}
+        return state
+
+    def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:  # noqa: ANN401
+        """Restore what `get_state_dict` returned.
+
+        Args:
+            state: Leaves are numpy or torch, one row per world; or (D,) for a single world.
+            env_idx: Worlds to restore, in the order of the rows; all by default.
+
+        Raises:
+            ValueError: If the state does not fit.
+        """
+        worlds = self._world_indices(env_idx)
+        self._write_state(read_rows(state, self.get_state_dict(), len(worlds)), worlds)
+
+    def set_state(self, state: Any, env_idx: Any = None) -> None:  # noqa: ANN401
+        """Restore what `get_state` returned: rows (b, D), or (D,) for a single world."""
+        worlds = self._world_indices(env_idx)
+        self._write_state(read_flat(state, self.get_state_dict(), len(worlds)), worlds)
+
+    def _world_indices(self, env_idx: Any) -> torch.Tensor:  # noqa: ANN401
+        if env_idx is None:
+            return torch.arange(self.num_envs, device=self.device)
+        worlds = torch.atleast_1d(torch.as_tensor(env_idx, device=self.device))
+        return worlds.nonzero()[:, 0] if worlds.dtype == torch.bool else worlds.long()
+
+    def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
+        self.solver.set_state(state["solver"], worlds)
+        robot = self.agent.robot
+        robot.set_state(state["articulations"][robot.name], worlds)
+        self.agent.controller.set_state(state["controller"], worlds)
+        for name, tensor in self._episode_tensors.items():
+            tensor[worlds] = state["episode"][name].view(-1, *tensor.shape[1:])
+
+    # ------------------------------------------------------------------ pictures
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        return [self._camera("base_camera", 128)]
+
+    @property
+    def _default_human_render_camera_configs(self) -> CameraConfig:
+        return self._camera("render_camera", 512)
+
+    @staticmethod
+    def _camera(uid: str, size: int) -> CameraConfig:
+        """Return a camera above the near edge of the table that sees all of the workspace."""
+        pose = sapien_utils.look_at(eye=[0.0, -0.8, 1.1], target=[0.0, -0.03, 0.0])
+        return CameraConfig(
+            uid,
+            pose=pose,
+            width=size,
+            height=size,
+            fov=0.85,
+            near=0.01,
+            far=10.0,
+            shader_pack="default",
+        )
+
+    def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
+        """Return one image per world, (min(B, 16), H, W, 3) uint8."""
+        if self.scene.can_render():
+            return self._picture_worlds(partial(super().render_rgb_array, camera_name))
+        return self._picture_worlds(self._painter.picture)
+
+    def render_sensors(self) -> torch.Tensor:
+        """Return what the cameras of each world see, side by side."""
+        return self._picture_worlds(super().render_sensors)
+
+    def render_all(self) -> torch.Tensor:
+        """Return `render_rgb_array` and `render_sensors` side by side."""
+        return self._picture_worlds(super().render_all)
+
+    def render_human(self) -> Any:  # noqa: ANN401
+        """Show the first world in SAPIEN's viewer."""
+        self._painter.show(self._drawing(0))
+        return super().render_human()
+
+    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
+        """Return the cameras' parameters, (B, ...): all worlds are seen by the same camera."""
+        num = len(self._drawn_worlds)
+        return {
+            camera: {
+                name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()
+            }
+            for camera, params in super().get_sensor_params().items()
+        }
+
+    def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
+        images = []
+        for world in self._drawn_worlds:
+            self._painter.show(self._drawing(world), hide_goal=True)
+            images.append(super()._get_obs_sensor_data(apply_texture_transforms))
+        return {
+            camera: {
+                name: torch.cat([image[camera][name] for image in images]) for name in textures
+            }
+            for camera, textures in images[0].items()
+        }
+
+    def _picture_worlds(self, take_picture: Callable[[], torch.Tensor]) -> torch.Tensor:
+        pictures = []
+        try:
+            for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
+                self._drawn_worlds = range(world, world + 1)
+                self._painter.show(self._drawing(world))
+                picture = take_picture()
+                pictures.append(picture if picture.ndim == 4 else picture[None])
+        finally:
+            self._drawn_worlds = range(self.num_envs)
+        return torch.cat(pictures)
+
+
+def _check_choice(name: str, value: str | None, allowed: tuple[str | None, ...]) -> None:
+    if value not in allowed:
+        raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
+
+
+def _node_schema(all_channels: tuple[Channel, ...]) -> NodeSchema:
+    """Sort channels by kind."""
+    return NodeSchema(
+        vectors=tuple(channel for channel in all_channels if channel.kind == "vector"),
+        scalars=tuple(channel for channel in all_channels if channel.kind == "scalar"),
+    )
+
+
+def _stack_channels(
+    positions: torch.Tensor, values: dict[str, torch.Tensor], schema: NodeSchema
+) -> dict[str, torch.Tensor]:
+    """Stack named channels of n nodes in the order of a schema; everything is copied."""
+    return {
+        "position": positions.clone(),
+        "vectors": torch.stack([values[channel.name] for channel in schema.vectors], dim=2),
+        "scalars": torch.stack([values[channel.name] for channel in schema.scalars], dim=2),
+        "mask": positions.new_ones(positions.shape[:2], dtype=torch.bool),
+    }

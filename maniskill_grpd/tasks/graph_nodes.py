@@ -1,0 +1,58 @@
+"""Choice of the object nodes that a policy sees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from maniskill_grpd.physics import Model
+
+
+def choose_graph_nodes(model: Model, num: int | None, keep: np.ndarray) -> np.ndarray:
+    """Choose nodes that cover the rest shape evenly, by farthest-point sampling.
+
+    Args:
+        model: The object, N nodes.
+        num: Number of nodes to choose, or None for all.
+        keep: Nodes that are always among them, (G,): those held by grippers.
+
+    Returns:
+        Chosen nodes in ascending order, (num,) int64.
+
+    Raises:
+        ValueError: If `num` is not between the number of nodes to keep (at least 2) and N.
+    """
+    if num is None:
+        return np.arange(model.num_nodes)
+    kept = np.unique(keep)
+    fewest = max(2, len(kept))
+    if not fewest <= num <= model.num_nodes:
+        raise ValueError(
+            f"graph_nodes must be in [{fewest}, {model.num_nodes}] (the nodes that grippers hold up to "
+            f"all nodes of the object), got {num}"
+        )
+    return np.sort(_sample_farthest(model.rest_positions.astype(np.float64), num, kept))
+
+
+def neighbors_along(model: Model, nodes: np.ndarray) -> np.ndarray:
+    """Return the neighbours of chosen nodes, as indices into `nodes` (n,), (n, K) int64, -1 padded.
+
+    All nodes of the object keep the mesh's neighbours. Fewer nodes are joined in the order of their
+    position along the object, which is how a rope is connected.
+    """
+    if len(nodes) == model.num_nodes:
+        return model.neighbors
+    order = np.argsort(model.arc[nodes], kind="stable")
+    neighbors = np.full((len(nodes), 2), -1, dtype=np.int64)
+    neighbors[order[1:], 0] = order[:-1]
+    neighbors[order[:-1], 1] = order[1:]
+    return neighbors
+
+
+def _sample_farthest(points: np.ndarray, num: int, start: np.ndarray) -> np.ndarray:
+    """Extend `start` to `num` indices, each the point (N, 3) that is farthest from those before."""
+    chosen = list(start) or [0]
+    distance = np.linalg.norm(points[:, None] - points[chosen], axis=-1).min(axis=1)
+    while len(chosen) < num:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=-1))
+    return np.array(chosen, dtype=np.int64)

@@ -1,0 +1,232 @@
+"""RopeShaping-v1: bring a rope on a table into a given planar shape."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from mani_skill.utils.registration import register_env
+
+from maniskill_grpd.physics import Model, rope
+from maniskill_grpd.tasks import channels
+from maniskill_grpd.tasks.deformable_env import DeformableEnv
+from maniskill_grpd.tasks.drawing import Drawing
+from maniskill_grpd.tasks.goal_shapes import GOAL_SHAPES, goal_curve
+
+ROPE_LENGTH = 0.8
+"""Length of the rope [m]."""
+RESOLUTIONS = (20, 200)
+"""Smallest and largest number of nodes."""
+GRIPPER_ARCS = {2: (0.0, 1.0), 3: (0.0, 0.5, 1.0), 4: (0.0, 0.25, 0.75, 1.0)}
+"""Arc fractions at which the grippers hold the rope, by their number."""
+
+
+@register_env("RopeShaping-v1", max_episode_steps=100)
+class RopeShapingEnv(DeformableEnv):
+    """
+    **Task Description:**
+    A rope of 0.8 m lies straight on a table and must take a given planar shape, "W" by default, at a given
+    place. Four floating grippers (optionally two or three) hold it at fixed points: at 0, 1/4, 3/4 and 1 of
+    its length (the ends; the ends and the middle). What hangs between them must be laid by dragging it.
+
+    **Randomizations:**
+    - the centre of the rope is uniform in the square [-0.15, 0.15] m x [-0.15, 0.15] m
+    - its direction is uniform in [-180, 180] degrees
+    - the centre and the direction of the goal are drawn from the same ranges, independently
+    - with `shapes=("W", "S", ...)` each episode draws one of the shapes
+    - `pose_range="half"` and `"quarter"` shrink all four ranges to a half and a quarter
+
+    **Success Conditions:**
+    - the mean distance of the rope's nodes from their goals is at most 0.03 m
+    - the largest of these distances is at most 0.08 m
+
+    **Fail Conditions:**
+    - the simulation of the world has diverged; it stands still until it is reset
+
+    **Goal Specification:**
+    - the goal position of every node, (N, 3): a curve of exactly the rope's length (W, V, U, S, L, O or
+      spiral) on the table
+    """  # noqa: D200, D205, D212, D400, D415  (the form of ManiSkill's task cards)
+
+    SUPPORTED_ROBOTS = ("floating_grippers_2", "floating_grippers_3", "floating_grippers_4")
+    OBJECT_CHANNELS = (
+        channels.VELOCITY,
+        channels.GOAL_OFFSET,
+        channels.GOAL_DISTANCE,
+        channels.ARC,
+        channels.HELD,
+        channels.CONTACT,
+    )
+    GRIPPER_CHANNELS = (
+        channels.VELOCITY,
+        channels.GOAL_OFFSET,
+        channels.GOAL_DISTANCE,
+        channels.ARC,
+        channels.GRIPPER_STATUS,
+    )
+
+    CENTRE_RANGE = 0.15
+    """Largest coordinate of the centres of rope and goal [m]."""
+    YAW_RANGE = np.pi
+    """Largest angle of rope and goal about the vertical [rad]."""
+
+    MEAN_DISTANCE_LIMIT = 0.03
+    """Success: largest mean distance of the nodes from their goals [m]."""
+    MAX_DISTANCE_LIMIT = 0.08
+    """Success: largest distance of any node from its goal [m]."""
+
+    FAR_WEIGHT = 0.4
+    """Share of the reward that draws the rope near from anywhere."""
+    FAR_SCALE = 0.2
+    """Mean distance [m] at which that share has fallen to a quarter."""
+    NEAR_WEIGHT = 0.4
+    """Share of the reward for nodes close to their goals."""
+    NEAR_SCALE = 0.06
+    """Distance [m] at which a node's contribution to it has fallen to 1 / e."""
+    SUCCESS_WEIGHT = 0.2
+    """Share of the reward for success."""
+
+    def __init__(
+        self,
+        *,
+        num_grippers: int | None = None,
+        robot_uids: str | None = None,
+        resolution: int = 41,
+        goal_shape: str = "W",
+        shapes: Sequence[str] | None = None,
+        **settings: Any,  # noqa: ANN401
+    ) -> None:
+        """Set up the task.
+
+        Args:
+            num_grippers: 2, 3 or 4 (default).
+            robot_uids: "floating_grippers_<num_grippers>", by default.
+            resolution: Number of nodes of the rope, 20 to 200.
+            goal_shape: Name of the goal shape.
+            shapes: Several names, from which each episode draws one; instead of `goal_shape`.
+            settings: Options of `DeformableEnv`.
+
+        Raises:
+            ValueError: If an option has a value that is not allowed; says which are.
+        """
+        self.num_grippers = _choose_num_grippers(num_grippers, robot_uids)
+        low, high = RESOLUTIONS
+        if not low <= resolution <= high:
+            raise ValueError(f"resolution must be in [{low}, {high}] nodes, got {resolution}")
+        self.resolution = resolution
+        self.shapes = _check_shapes([goal_shape] if shapes is None else shapes)
+        super().__init__(robot_uids=f"floating_grippers_{self.num_grippers}", **settings)
+
+    # ------------------------------------------------------------------ episode
+
+    def _build_model(self) -> Model:
+        half = ROPE_LENGTH / 2
+        return rope([[-half, 0.0], [half, 0.0]], num_nodes=self.resolution)
+
+    def _choose_gripper_nodes(self) -> np.ndarray:
+        fractions = np.array(GRIPPER_ARCS[self.num_grippers])
+        return np.rint(fractions * (self.model.num_nodes - 1)).astype(np.int64)
+
+    def _allocate_episode(self) -> None:
+        num_nodes, length = self.model.num_nodes, self.model.length
+        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3)
+        curves = np.stack([goal_curve(name, length, num_nodes) for name in self.shapes])
+        self._goal_curves = torch.as_tensor(curves, dtype=torch.float32, device=self.device)
+        self._straight = torch.as_tensor(self.model.rest_positions[:, :2], device=self.device)
+
+    def _start_episode(self, worlds: torch.Tensor) -> torch.Tensor:
+        draws = self._draw_uniform(worlds, 7)
+        curves = self._goal_curves[((draws[:, 6] + 1.0) / 2.0 * len(self.shapes)).long()]
+        self.goal_positions[worlds] = self._lay_down(curves, draws[:, 3:6])
+        return self._lay_down(self._straight.expand(len(worlds), -1, -1), draws[:, 0:3])
+
+    def _lay_down(self, curves: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
+        """Lay planar curves (b, N, 2) on the table, at poses given by draws in [-1, 1) (b, 3)."""
+        yaw = draws[:, 2, None] * (self.YAW_RANGE * self._pose_share)
+        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self._pose_share)
+        x, y = curves.unbind(-1)
+        cos, sin = yaw.cos(), yaw.sin()
+        turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1) + centre
+        return torch.nn.functional.pad(turned, (0, 1), value=self.model.radius)
+
+    # ------------------------------------------------------------------ one control step
+
+    def evaluate(self) -> dict[str, torch.Tensor]:
+        """Measure how far the nodes are from their goals; observation and reward reuse it."""
+        self._goal_offsets = self.goal_positions - self.solver.positions
+        self._goal_distances = torch.linalg.vector_norm(self._goal_offsets, dim=-1)
+        mean, largest = self._goal_distances.mean(dim=1), self._goal_distances.amax(dim=1)
+        fail = self.solver.frozen.clone()
+        is_close = (mean <= self.MEAN_DISTANCE_LIMIT) & (largest <= self.MAX_DISTANCE_LIMIT)
+        return {
+            "success": is_close & ~fail,
+            "fail": fail,
+            "mean_distance": mean,
+            "max_distance": largest,
+        }
+
+    def compute_dense_reward(
+        self,
+        obs: Any,
+        action: torch.Tensor,
+        info: dict,  # noqa: ANN401
+    ) -> torch.Tensor:
+        """Return the reward in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
+        far = 1.0 - torch.tanh(info["mean_distance"] / self.FAR_SCALE)
+        near = torch.exp(-((self._goal_distances / self.NEAR_SCALE) ** 2)).mean(dim=1)
+        reward = (
+            self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
+        )
+        return reward * ~info["fail"]
+
+    def _object_values(self) -> dict[str, torch.Tensor]:
+        own = {"goal_offset": self._goal_offsets, "goal_distance": self._goal_distances}
+        return super()._object_values() | own
+
+    def _gripper_values(self) -> dict[str, torch.Tensor]:
+        held = self._gripper_nodes
+        own = {
+            "goal_offset": self._goal_offsets[:, held],
+            "goal_distance": self._goal_distances[:, held],
+        }
+        return super()._gripper_values() | own
+
+    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
+        obs = {"goal_positions": self.goal_positions.flatten(1).clone()}
+        if self.obs_mode_struct.use_state:
+            obs["rope_positions"] = self.solver.positions.flatten(1).clone()
+            obs["rope_velocities"] = self.solver.velocities.flatten(1).clone()
+        return obs
+
+    def _drawing(self, world: int) -> Drawing:
+        return Drawing(
+            rope=self.solver.positions[world].cpu().numpy(),
+            goal=self.goal_positions[world].cpu().numpy(),
+            grippers=self.solver.gripper_positions[world].cpu().numpy(),
+            radius=self.model.radius,
+            is_solved=bool(self.evaluate()["success"][world]),
+        )
+
+
+def _choose_num_grippers(num_grippers: int | None, robot_uids: str | None) -> int:
+    """Bring the two ways to say how many grippers there are together; 4 when neither is used."""
+    uids = {f"floating_grippers_{num}": num for num in GRIPPER_ARCS}
+    if robot_uids is not None and robot_uids not in uids:
+        raise ValueError(f"robot_uids must be one of {list(uids)}, got {robot_uids!r}")
+    named = uids.get(robot_uids)
+    num = num_grippers if num_grippers is not None else named or max(GRIPPER_ARCS)
+    if num not in GRIPPER_ARCS:
+        raise ValueError(f"num_grippers must be one of {list(GRIPPER_ARCS)}, got {num_grippers}")
+    if named not in (None, num):
+        raise ValueError(f"num_grippers={num_grippers} contradicts robot_uids={robot_uids!r}")
+    return num
+
+
+def _check_shapes(shapes: Sequence[str]) -> tuple[str, ...]:
+    names = (shapes,) if isinstance(shapes, str) else tuple(shapes)
+    unknown = [name for name in names if name not in GOAL_SHAPES]
+    if unknown or not names:
+        raise ValueError(f"goal shapes must be among {', '.join(GOAL_SHAPES)}, got {list(names)}")
+    return names

@@ -1,0 +1,25 @@
+"""Seeds of the worlds of a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def expand_seeds(seed: int | Sequence[int], num_worlds: int) -> list[int]:
+    """Return one seed per world.
+
+    A single number is the seed of the first world; the others are derived from it as ManiSkill does.
+
+    Raises:
+        ValueError: If a sequence has neither one seed nor one per world.
+    """
+    seeds = [int(value) for value in np.atleast_1d(np.asarray(seed))]
+    if len(seeds) == num_worlds:
+        return seeds
+    if len(seeds) != 1:
+        raise ValueError(
+            f"expected 1 or {num_worlds} seeds, one per world being reset, got {len(seeds)}"
+        )
+    return seeds + np.random.RandomState(seeds[0]).randint(2**31, size=num_worlds - 1).tolist()

@@ -1,0 +1,128 @@
+"""Checkpoints survive full disks and say what is wrong with a file."""
+
+import errno
+import os
+
+import pytest
+import torch
+from toy_env import ToyPolicy
+
+from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoint, save_checkpoint
+from maniskill_grpd.learning.checkpoint import restore_policy
+
+
+def contents(iteration=1, policy=None):
+    policy = policy or ToyPolicy()
+    return {
+        "policy": policy.config,
+        "weights": policy.state_dict(),
+        "optimizer": torch.optim.Adam(policy.parameters()).state_dict(),
+        "value_scale": {"weight": 0.0, "mean": 0.0, "mean_square": 0.0},
+        "generators": {"action": torch.Generator().get_state()},
+        "train_config": TrainConfig().to_dict(),
+        "iteration": iteration,
+        "global_step": 100 * iteration,
+        "best_score": None,
+    }
+
+
+def test_round_trip(tmp_path):
+    saved = contents()
+    save_checkpoint(tmp_path / "a.pt", saved)
+    loaded = load_checkpoint(tmp_path / "a.pt")
+    assert set(loaded) == set(saved)
+    assert loaded["train_config"] == saved["train_config"]
+    torch.testing.assert_close(loaded["weights"], saved["weights"], rtol=0, atol=0)
+    assert os.listdir(tmp_path) == ["a.pt"]
+
+
+def test_missing_entries_are_refused_when_saving(tmp_path):
+    with pytest.raises(ValueError, match="best_score"):
+        save_checkpoint(tmp_path / "a.pt", {"weights": {}})
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no checkpoint at"):
+        load_checkpoint(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.01, 0.5, 0.99])
+def test_truncated_file(tmp_path, kept):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, contents())
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * kept)])
+    with pytest.raises(CheckpointError, match="truncated or not a checkpoint"):
+        load_checkpoint(path)
+
+
+def test_foreign_files(tmp_path):
+    (tmp_path / "text.pt").write_text("not a checkpoint")
+    with pytest.raises(CheckpointError, match="not a checkpoint of this package"):
+        load_checkpoint(tmp_path / "text.pt")
+    torch.save(ToyPolicy().state_dict(), tmp_path / "weights.pt")
+    with pytest.raises(CheckpointError, match="another program"):
+        load_checkpoint(tmp_path / "weights.pt")
+
+
+class Payload:
+    """Runs when unpickled carelessly."""
+
+    def __reduce__(self):
+        return os.mkdir, ("executed",)
+
+
+def test_nothing_in_a_file_is_executed(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    torch.save({"format": Payload()}, tmp_path / "evil.pt")
+    with pytest.raises(CheckpointError):
+        load_checkpoint(tmp_path / "evil.pt")
+    assert not (tmp_path / "executed").exists()
+
+
+def test_other_version(tmp_path, monkeypatch):
+    monkeypatch.setattr("maniskill_grpd.learning.checkpoint.VERSION", 99)
+    save_checkpoint(tmp_path / "a.pt", contents())
+    monkeypatch.undo()
+    with pytest.raises(CheckpointError, match="version 99"):
+        load_checkpoint(tmp_path / "a.pt")
+
+
+def test_a_policy_with_other_options_is_refused_by_name(tmp_path):
+    save_checkpoint(tmp_path / "a.pt", contents(policy=ToyPolicy(hidden_dim=8)))
+    loaded = load_checkpoint(tmp_path / "a.pt")
+    with pytest.raises(
+        CheckpointError, match=r"options.hidden_dim: the checkpoint has 8, here it is 16"
+    ):
+        restore_policy(ToyPolicy(hidden_dim=16), loaded)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
+def test_a_full_disk_leaves_the_old_checkpoint(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, contents(iteration=1))
+    os.symlink("/dev/full", tmp_path / f".a.pt.{os.getpid()}.tmp")
+    with pytest.raises(OSError, match="cannot write checkpoint .*previous one is intact") as error:
+        save_checkpoint(path, contents(iteration=2))
+    assert error.value.errno == errno.ENOSPC
+    assert load_checkpoint(path)["iteration"] == 1
+    assert os.listdir(tmp_path) == ["a.pt"]
+
+
+def test_a_failed_sync_leaves_the_old_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, contents(iteration=1))
+
+    def fail(descriptor):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="Input/output error"):
+        save_checkpoint(path, contents(iteration=2))
+    assert load_checkpoint(path)["iteration"] == 1
+    assert os.listdir(tmp_path) == ["a.pt"]
+
+
+def test_a_missing_folder_is_an_os_error(tmp_path):
+    with pytest.raises(OSError, match="nothing was written"):
+        save_checkpoint(tmp_path / "none" / "a.pt", contents())

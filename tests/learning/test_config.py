@@ -1,0 +1,79 @@
+"""Options: defaults, derived numbers, and messages that say how to mend them."""
+
+import dataclasses
+
+import pytest
+import tyro
+
+from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.learning.config import RESUMABLE_FIELDS
+
+
+def test_derived_numbers():
+    config = TrainConfig(num_envs=8, num_steps=50, num_minibatches=4, total_timesteps=1000)
+    assert (config.batch_size, config.minibatch_size, config.num_iterations) == (400, 100, 2)
+
+
+def test_round_trip_through_plain_types():
+    config = TrainConfig(env_kwargs=("num_grippers=2",), target_kl=0.1)
+    assert TrainConfig.from_dict(config.to_dict()) == config
+
+
+def test_unknown_fields_are_refused():
+    with pytest.raises(ValueError, match="nonsense"):
+        TrainConfig.from_dict({"nonsense": 1})
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"algorithm": "trpo"}, "one of bpp, ppo, got 'trpo'"),
+        ({"num_envs": 10, "num_steps": 10, "num_minibatches": 16}, "20 would fit"),
+        ({"total_timesteps": 10}, "less than one iteration"),
+        ({"num_envs": 4, "num_steps": 4, "num_minibatches": 16}, "at least 2 transitions"),
+        ({"learning_rate": 0.0}, "learning_rate must be positive"),
+        ({"learning_rate": float("nan")}, "learning_rate must be positive"),
+        ({"mean_bound": -1.0}, "mean_bound must be positive"),
+        ({"gamma": 1.5}, r"gamma must lie in \[0, 1\]"),
+        ({"ent_coef": -0.1}, "ent_coef must not be negative"),
+        ({"env_kwargs": ("num_grippers",)}, "key=value"),
+        ({"env_kwargs": ("a=1", "a=2")}, "'a' twice"),
+    ],
+)
+def test_bad_options_are_refused_with_a_way_out(options, message):
+    with pytest.raises(ValueError, match=message):
+        TrainConfig(**options)
+
+
+def test_pairs_are_parsed_as_json_or_strings():
+    config = TrainConfig(
+        env_kwargs=("num_grippers=2", 'shapes=["U", "W"]', "pose_range=half", "flag=true")
+    )
+    assert config.env_options == {
+        "num_grippers": 2,
+        "shapes": ["U", "W"],
+        "pose_range": "half",
+        "flag": True,
+    }
+
+
+def test_command_line_takes_underscores_and_pairs():
+    arguments = (
+        "--num_envs 8 --total_timesteps 1_000_000 --env_kwargs num_grippers=2 goal=V --anneal_lr"
+    )
+    config = tyro.cli(TrainConfig, args=arguments.split())
+    assert config.num_envs == 8
+    assert config.total_timesteps == 1_000_000
+    assert config.env_options == {"num_grippers": 2, "goal": "V"}
+    assert config.anneal_lr
+
+
+def test_every_field_is_documented_on_the_command_line(capsys):
+    with pytest.raises(SystemExit):
+        tyro.cli(TrainConfig, args=["--help"])
+    text = capsys.readouterr().out
+    assert "largest covariance part of the KL" in " ".join(text.replace("│", "").split())
+
+
+def test_resumable_fields_exist():
+    assert {field.name for field in dataclasses.fields(TrainConfig)} >= RESUMABLE_FIELDS
