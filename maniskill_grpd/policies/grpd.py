@@ -39,7 +39,7 @@ class GRPDOptions:
     """Radial functions of the edges between actuators and from objects to actuators."""
     num_local_radial: int = 1
     """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
-    max_degree: int = 2
+    max_degree: int = 1
     """Largest degree of the harmonics from objects to actuators, 1 or 2."""
     magnitude: Literal["softplus", "relu"] = "softplus"
     """Activation of the action's length; relu is eq. 52 as printed."""
@@ -48,7 +48,7 @@ class GRPDOptions:
     state_dependent_std: bool = True
     """False: one learned standard deviation for all states and actuators."""
     value_dim: int = 64
-    """Width of the value function."""
+    """Width of the value function after the sum over nodes; before it, scalar_dim."""
     value_encoder: Literal["shared", "separate"] = "shared"
     """Whether the value function reads the actor's node features or has an encoder of its own."""
 
@@ -90,11 +90,12 @@ class GRPD(Policy):
         self.value_encoder: GRPDEncoder | None = None
         if options.value_encoder == "separate":
             self.value_encoder = GRPDEncoder(schema, options)
-        self.critic = DeepSetsValue([dims, dims], options.value_dim)
+        self.critic = DeepSetsValue([dims, dims], options.scalar_dim, options.value_dim)
 
     def evaluate(
         self, graph: Mapping[str, Any], *, actor: bool, critic: bool
     ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
+        """See `Policy.evaluate`."""
         mask = graph["actuator"]["mask"]
         distribution = value = nodes = None
         if actor or self.value_encoder is None:

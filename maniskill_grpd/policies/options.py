@@ -28,8 +28,10 @@ def parse_options(cls: type[T], options: Mapping[str, Any]) -> T:
         if name not in hints:
             raise ValueError(f"unknown option {name!r}; allowed are:\n{describe_options(cls)}")
         if not _fits(value, hints[name]):
-            raise ValueError(f"option {name!r} must be {_type_name(hints[name])}, got {value!r}; "
-                             f"allowed are:\n{describe_options(cls)}")
+            raise ValueError(
+                f"option {name!r} must be {_type_name(hints[name])}, got {value!r}; "
+                f"allowed are:\n{describe_options(cls)}"
+            )
     return cls(**options)
 
 

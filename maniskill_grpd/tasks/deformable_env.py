@@ -3,45 +3,39 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import sapien
 import torch
-from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
-from mani_skill.sensors.camera import CameraConfig
-from mani_skill.utils import common, sapien_utils
+from mani_skill.utils import common
 from mani_skill.utils.structs.types import SimConfig
 
-from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
+from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.batched_scene import BatchedScene
 from maniskill_grpd.tasks.compute_device import choose_compute_device
-from maniskill_grpd.tasks.drawing import Drawing, choose_painter
-from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_along
+from maniskill_grpd.tasks.drawing import choose_painter
+from maniskill_grpd.tasks.graph_observation import GraphObservation
 from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.render_device import choose_render_device
 from maniskill_grpd.tasks.seeds import expand_seeds
 from maniskill_grpd.tasks.state_layout import StateDict, read_flat, read_rows
+from maniskill_grpd.tasks.world_pictures import WorldPictures
 
 if TYPE_CHECKING:
     from maniskill_grpd.agents import FloatingGrippers
 
 POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
-CONTACT_DISTANCE = 1.5
-"""Nodes count as touching the table when their centre is closer to it than this many radii."""
 CONTROL_FREQ = 20
 """Control steps per second [Hz]; each is one step of the solver, which has its own substeps."""
-MAX_DRAWN_WORLDS = 16
-"""`render()` draws one image per world for at most this many worlds."""
 
 
-class DeformableEnv(BaseEnv):
+class DeformableEnv(WorldPictures):
     """A batch of worlds in which floating grippers manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
@@ -151,32 +145,16 @@ class DeformableEnv(BaseEnv):
         seed alone.
         """
 
-    @abstractmethod
-    def _drawing(self, world: int) -> Drawing:
-        """Return what there is to see in a world."""
-
     def _allocate_episode(self) -> None:
         """Create the tensors of an episode with `_episode_tensor`; none by default."""
 
     def _object_values(self) -> dict[str, torch.Tensor]:
-        """Return the object's channels by name: vectors (B, N, 3), scalars (B, N)."""
-        solver = self.solver
-        normal, offset = solver.plane[:, None, :3], solver.plane[:, 3:]
-        height = (solver.positions * normal).sum(-1) - offset
-        return {
-            "velocity": solver.velocities,
-            "arc": self._object_arc,
-            "held": (solver.holder >= 0).float(),
-            "contact": (height < CONTACT_DISTANCE * self.model.radius).float(),
-        }
+        """Return the task's own channels of the object: vectors (B, N, 3), scalars (B, N)."""
+        return {}
 
     def _gripper_values(self) -> dict[str, torch.Tensor]:
-        """Return the grippers' channels by name: vectors (B, A, 3), scalars (B, A)."""
-        return {
-            "velocity": self.agent.robot.qvel.unflatten(1, (-1, 3)),
-            "arc": self._gripper_arc,
-            "gripper_status": self._gripper_closed,
-        }
+        """Return the task's own channels of the grippers: vectors (B, A, 3), scalars (B, A)."""
+        return {}
 
     # ------------------------------------------------------------------ building the scene
 
@@ -244,29 +222,15 @@ class DeformableEnv(BaseEnv):
     def _load_scene(self, options: dict) -> None:
         self._episode_tensors: dict[str, torch.Tensor] = {}
         self._allocate_episode()
-        self._prepare_graph()
+        self._graph = GraphObservation(
+            self.solver,
+            self._gripper_nodes,
+            self.OBJECT_CHANNELS,
+            self.GRIPPER_CHANNELS,
+            self._num_graph_nodes,
+        )
+        self.graph_schema = self._graph.schema
         self._painter = choose_painter(self)
-
-    def _prepare_graph(self) -> None:
-        """Choose the nodes of the graph and set up what does not change during an episode."""
-        model, device, worlds = self.model, self.device, self.num_envs
-        held = self._gripper_nodes.cpu().numpy()
-        nodes = choose_graph_nodes(model, self._num_graph_nodes, held)
-        self._graph_nodes = (
-            None if len(nodes) == model.num_nodes else torch.as_tensor(nodes, device=device)
-        )
-        neighbors = torch.as_tensor(neighbors_along(model, nodes), device=device)
-        self._neighbors = neighbors.expand(worlds, -1, -1)
-        arc = torch.as_tensor(np.abs(2.0 * model.arc - 1.0), dtype=torch.float32, device=device)
-        self._object_arc = arc.expand(worlds, -1)
-        self._gripper_arc = arc[self._gripper_nodes].expand(worlds, -1)
-        self._gripper_closed = torch.ones_like(self._gripper_arc)
-        self.graph_schema = GraphSchema(
-            object=_node_schema(self.OBJECT_CHANNELS),
-            actuator=_node_schema(self.GRIPPER_CHANNELS),
-            length_scale=model.length,
-            edge_length=float(model.rest_lengths.mean()) * (model.num_nodes - 1) / (len(nodes) - 1),
-        )
 
     def _episode_tensor(self, name: str, *shape: int) -> torch.Tensor:
         """Return zeros (B, *shape), float32, that are part of the state of an episode."""
@@ -355,16 +319,9 @@ class DeformableEnv(BaseEnv):
         return {**rest, "graph": graph}
 
     def _get_obs_graph(self) -> dict[str, Any]:
-        """Build the graph (section "graph" of `graph_schema`) from the state of the solver."""
-        solver, schema, nodes = self.solver, self.graph_schema, self._graph_nodes
-        object_nodes = _stack_channels(solver.positions, self._object_values(), schema.object)
-        if nodes is not None:
-            object_nodes = {key: value[:, nodes] for key, value in object_nodes.items()}
-        object_nodes["neighbors"] = self._neighbors.clone()
-        grippers = _stack_channels(
-            solver.gripper_positions, self._gripper_values(), schema.actuator
-        )
-        return {"object": object_nodes, "actuator": grippers, "gravity": solver.gravity.clone()}
+        """Return the graph that `graph_schema` describes."""
+        velocities = self.agent.robot.qvel.unflatten(1, (-1, 3))
+        return self._graph.build(velocities, self._object_values(), self._gripper_values())
 
     def compute_normalized_dense_reward(
         self,
@@ -416,105 +373,7 @@ class DeformableEnv(BaseEnv):
         for name, tensor in self._episode_tensors.items():
             tensor[worlds] = state["episode"][name].view(-1, *tensor.shape[1:])
 
-    # ------------------------------------------------------------------ pictures
-
-    @property
-    def _default_sensor_configs(self) -> list[CameraConfig]:
-        return [self._camera("base_camera", 128)]
-
-    @property
-    def _default_human_render_camera_configs(self) -> CameraConfig:
-        return self._camera("render_camera", 512)
-
-    @staticmethod
-    def _camera(uid: str, size: int) -> CameraConfig:
-        """Return a camera above the near edge of the table that sees all of the workspace."""
-        pose = sapien_utils.look_at(eye=[0.0, -0.8, 1.1], target=[0.0, -0.03, 0.0])
-        return CameraConfig(
-            uid,
-            pose=pose,
-            width=size,
-            height=size,
-            fov=0.85,
-            near=0.01,
-            far=10.0,
-            shader_pack="default",
-        )
-
-    def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
-        """Return one image per world, (min(B, 16), H, W, 3) uint8."""
-        if self.scene.can_render():
-            return self._picture_worlds(partial(super().render_rgb_array, camera_name))
-        return self._picture_worlds(self._painter.picture)
-
-    def render_sensors(self) -> torch.Tensor:
-        """Return what the cameras of each world see, side by side."""
-        return self._picture_worlds(super().render_sensors)
-
-    def render_all(self) -> torch.Tensor:
-        """Return `render_rgb_array` and `render_sensors` side by side."""
-        return self._picture_worlds(super().render_all)
-
-    def render_human(self) -> Any:  # noqa: ANN401
-        """Show the first world in SAPIEN's viewer."""
-        self._painter.show(self._drawing(0))
-        return super().render_human()
-
-    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
-        """Return the cameras' parameters, (B, ...): all worlds are seen by the same camera."""
-        num = len(self._drawn_worlds)
-        return {
-            camera: {
-                name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()
-            }
-            for camera, params in super().get_sensor_params().items()
-        }
-
-    def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
-        images = []
-        for world in self._drawn_worlds:
-            self._painter.show(self._drawing(world), hide_goal=True)
-            images.append(super()._get_obs_sensor_data(apply_texture_transforms))
-        return {
-            camera: {
-                name: torch.cat([image[camera][name] for image in images]) for name in textures
-            }
-            for camera, textures in images[0].items()
-        }
-
-    def _picture_worlds(self, take_picture: Callable[[], torch.Tensor]) -> torch.Tensor:
-        pictures = []
-        try:
-            for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
-                self._drawn_worlds = range(world, world + 1)
-                self._painter.show(self._drawing(world))
-                picture = take_picture()
-                pictures.append(picture if picture.ndim == 4 else picture[None])
-        finally:
-            self._drawn_worlds = range(self.num_envs)
-        return torch.cat(pictures)
-
 
 def _check_choice(name: str, value: str | None, allowed: tuple[str | None, ...]) -> None:
     if value not in allowed:
         raise ValueError(f"{name} must be one of {list(allowed)}, got {value!r}")
-
-
-def _node_schema(all_channels: tuple[Channel, ...]) -> NodeSchema:
-    """Sort channels by kind."""
-    return NodeSchema(
-        vectors=tuple(channel for channel in all_channels if channel.kind == "vector"),
-        scalars=tuple(channel for channel in all_channels if channel.kind == "scalar"),
-    )
-
-
-def _stack_channels(
-    positions: torch.Tensor, values: dict[str, torch.Tensor], schema: NodeSchema
-) -> dict[str, torch.Tensor]:
-    """Stack named channels of n nodes in the order of a schema; everything is copied."""
-    return {
-        "position": positions.clone(),
-        "vectors": torch.stack([values[channel.name] for channel in schema.vectors], dim=2),
-        "scalars": torch.stack([values[channel.name] for channel in schema.scalars], dim=2),
-        "mask": positions.new_ones(positions.shape[:2], dtype=torch.bool),
-    }

@@ -134,7 +134,7 @@ class RopeShapingEnv(DeformableEnv):
         self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3)
         curves = np.stack([goal_curve(name, length, num_nodes) for name in self.shapes])
         self._goal_curves = torch.as_tensor(curves, dtype=torch.float32, device=self.device)
-        self._straight = torch.as_tensor(self.model.rest_positions[:, :2], device=self.device)
+        self._straight = torch.tensor(self.model.rest_positions[:, :2], device=self.device)
 
     def _start_episode(self, worlds: torch.Tensor) -> torch.Tensor:
         draws = self._draw_uniform(worlds, 7)
@@ -182,16 +182,14 @@ class RopeShapingEnv(DeformableEnv):
         return reward * ~info["fail"]
 
     def _object_values(self) -> dict[str, torch.Tensor]:
-        own = {"goal_offset": self._goal_offsets, "goal_distance": self._goal_distances}
-        return super()._object_values() | own
+        return {"goal_offset": self._goal_offsets, "goal_distance": self._goal_distances}
 
     def _gripper_values(self) -> dict[str, torch.Tensor]:
         held = self._gripper_nodes
-        own = {
+        return {
             "goal_offset": self._goal_offsets[:, held],
             "goal_distance": self._goal_distances[:, held],
         }
-        return super()._gripper_values() | own
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
         obs = {"goal_positions": self.goal_positions.flatten(1).clone()}

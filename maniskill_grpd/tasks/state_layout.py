@@ -24,7 +24,7 @@ def read_rows(state: Mapping[str, Any], template: StateDict, num_rows: int) -> S
         Nested dictionary in the order of `template`, leaves (num_rows, D).
 
     Raises:
-        ValueError: If an entry is missing or unknown, or a leaf has the wrong shape.
+        ValueError: If an entry is missing or unknown, or a leaf has the wrong shape or is not finite.
     """
     given = dict(_leaves(state))
     expected = dict(_leaves(template))
@@ -52,7 +52,7 @@ def read_flat(flat: Any, template: StateDict, num_rows: int) -> StateDict:  # no
         num_rows: As in `read_rows`.
 
     Raises:
-        ValueError: If the shape is wrong.
+        ValueError: If the shape is wrong or a value is not finite.
     """
     leaves = list(_leaves(template))
     widths = [leaf.shape[1] for _, leaf in leaves]
@@ -87,4 +87,6 @@ def _as_rows(name: str, value: Any, num_rows: int, width: int) -> torch.Tensor: 
         raise ValueError(
             f"{name} must be ({num_rows}, {width}), one row per world, got {tuple(tensor.shape)}"
         )
+    if not torch.isfinite(tensor).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity")
     return tensor

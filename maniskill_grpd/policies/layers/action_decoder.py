@@ -51,6 +51,7 @@ class DirectionMagnitudeDecoder(nn.Module):
         nn.init.constant_(self.length.bias, bias)
 
     def forward(self, scalars: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+        """Mean actions (..., 3) of actuators with features h, V."""
         invariant = torch.cat([scalars, vector_norms(vectors)], dim=-1)
         hidden, gate = self.hidden(invariant).split(self.split, dim=-1)
         mixed = self.mix(vectors) * torch.sigmoid(gate)
@@ -58,11 +59,8 @@ class DirectionMagnitudeDecoder(nn.Module):
         # The square root has no gradient at exactly zero; the epsilon of eq. 51 alone is no cure.
         norm = (raw.square().sum(-1, keepdim=True) + _DIRECTION_EPSILON**2).sqrt()
         length = self.length(nn.functional.silu(hidden))
-        if self.magnitude == "relu":
-            length = nn.functional.relu(length)
-        else:
-            length = nn.functional.softplus(length)
-        return length * (raw / norm)
+        activation = nn.functional.relu if self.magnitude == "relu" else nn.functional.softplus
+        return activation(length) * (raw / norm)
 
 
 class IsotropicStd(nn.Module):
@@ -102,6 +100,7 @@ class IsotropicStd(nn.Module):
             self.bias = nn.Parameter(torch.tensor(bias))
 
     def forward(self, scalars: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+        """Standard deviations (..., 1) of actuators with features h, V."""
         if self.network is None:
             raw = self.bias.expand(*scalars.shape[:-1], 1)
         else:

@@ -22,19 +22,22 @@ class DeepSetsValue(nn.Module):
 
     Args:
         node_dims: (C, D) of each node type.
-        hidden_dim: Width of both networks.
+        inner_dim: Width of MLP_in, which runs at every node.
+        outer_dim: Width of MLP_out, which runs once per graph.
     """
 
-    def __init__(self, node_dims: Sequence[tuple[int, int]], hidden_dim: int) -> None:
+    def __init__(
+        self, node_dims: Sequence[tuple[int, int]], inner_dim: int, outer_dim: int
+    ) -> None:
         super().__init__()
-        self.inner = nn.ModuleList(nn.Linear(c + d, hidden_dim) for c, d in node_dims)
+        self.inner = nn.ModuleList(nn.Linear(c + d, inner_dim) for c, d in node_dims)
         self.outer = nn.Sequential(
-            nn.Linear(len(node_dims) * hidden_dim, hidden_dim),
-            nn.LayerNorm(hidden_dim),
+            nn.Linear(len(node_dims) * inner_dim, outer_dim),
+            nn.LayerNorm(outer_dim),
             nn.SiLU(),
-            nn.Linear(hidden_dim, hidden_dim),
+            nn.Linear(outer_dim, outer_dim),
             nn.SiLU(),
-            nn.Linear(hidden_dim, 1),
+            nn.Linear(outer_dim, 1),
         )
         nn.init.orthogonal_(self.outer[-1].weight, 0.1)
         nn.init.zeros_(self.outer[-1].bias)

@@ -59,19 +59,26 @@ class NeighborEdges:
     index: torch.Tensor
     weights: torch.Tensor
 
-    def gather(self, features: torch.Tensor) -> torch.Tensor:
-        """Features of the neighbours, (L, B, N, F) -> (K, L, B * N, F)."""
+    def gather(self, features: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Features of the neighbours.
+
+        Args:
+            features: (L, B, N, F).
+
+        Returns:
+            L * K tensors (B * N, F); the neighbours of one leading index follow each other.
+        """
         leading, width = features.shape[0], features.shape[-1]
         rows = self.index.shape[1]
         offset = torch.arange(leading, device=features.device) * rows
-        # One gather along the first axis: its backward pass is a scatter of whole rows.
-        index = (self.index[:, None] + offset[:, None]).reshape(-1)
+        # One gather along the first axis, whose backward pass is one scatter of whole rows.
+        index = (self.index + offset[:, None, None]).reshape(-1)
         gathered = features.reshape(-1, width).index_select(0, index)
-        return gathered.view(-1, leading, rows, width)
+        return gathered.view(-1, rows, width).unbind(0)
 
 
 class EdgeGeometry(nn.Module):
-    r"""Kernel factors of the edges (eq. 29, 30):
+    r"""Kernel factors of the edges (eq. 29, 30).
 
         w[m, b] = phi_b(|p|) Y_m(p / sqrt(|p|^2 + s^2)) / (sum_senders phi_b + 0.05 n)
 

@@ -18,8 +18,7 @@ def vector_norms(vectors: torch.Tensor) -> torch.Tensor:
     Returns:
         (..., D), invariant.
     """
-    x, y, z = vectors.unbind(0)
-    return (x * x + y * y + z * z + _TINY).sqrt()
+    return (vectors.square().sum(0) + _TINY).sqrt()
 
 
 class EquivariantUpdate(nn.Module):
@@ -57,6 +56,7 @@ class EquivariantUpdate(nn.Module):
         scalar_messages: torch.Tensor,
         vector_messages: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
+        """New h, V of nodes from their h, V and messages m_s, m_V."""
         mixed = self.mix(vectors) + vector_messages
         invariant = torch.cat([scalars, vector_norms(mixed)], dim=-1)
         hidden = nn.functional.silu(self.hidden(invariant) + scalar_messages)

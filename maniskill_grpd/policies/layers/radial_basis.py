@@ -36,6 +36,7 @@ class RadialBasis(nn.Module):
         self.centers = [i / max(count - 1, 1) for i in range(count)]
 
     def forward(self, distance: torch.Tensor) -> list[torch.Tensor]:
+        """Values phi_0 ... phi_{B-1} at distances [m]."""
         scaled = distance / self.cutoff
         compressed = scaled / (scaled + _HALF_WAY)
         sharpness = float(self.num_basis - 1)
@@ -43,4 +44,5 @@ class RadialBasis(nn.Module):
         return [torch.ones_like(distance), *bumps]
 
     def extra_repr(self) -> str:
+        """Show the arguments when printed."""
         return f"num_basis={self.num_basis}, cutoff={self.cutoff:g} m"

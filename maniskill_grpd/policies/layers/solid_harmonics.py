@@ -22,7 +22,9 @@ def solid_harmonics(
     orthogonal; D_0 = 1, D_1 = R.
 
     Args:
-        x, y, z: Components, any equal shape.
+        x: First component, any shape.
+        y: Second component, same shape.
+        z: Third component, same shape.
         max_degree: 0, 1 or 2.
 
     Returns:

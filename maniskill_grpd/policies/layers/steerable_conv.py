@@ -73,12 +73,15 @@ class SteerableConv(nn.Module):
     def forward(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges | NeighborEdges
     ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Messages to all receivers of the edges from the features of all senders."""
         if isinstance(edges, CompleteEdges):
             invariant, paths = self._complete(scalars, vectors, edges)
         else:
             invariant, paths = self._neighbors(scalars, vectors, edges)
-        equivariant = torch.stack([torch.cat(path, dim=-1) for path in zip(*paths, strict=True)])
-        return self.to_scalars(torch.cat(invariant, dim=-1)), self.to_vectors(equivariant)
+        # One component at a time: the joined paths of all three would be the largest tensor here.
+        components = [torch.cat(component, dim=-1) for component in zip(*paths, strict=True)]
+        messages = torch.stack([self.to_vectors(component) for component in components])
+        return self.to_scalars(torch.cat(invariant, dim=-1)), messages
 
     def _complete(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges
@@ -97,9 +100,11 @@ class SteerableConv(nn.Module):
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
         """As `_complete`; each entry is (B, N, F), one set per radial function."""
         shape = (*scalars.shape[:2], -1)
-        still = edges.gather(scalars[None])[:, 0].unbind(0)
-        directed = edges.gather(self.mix(scalars)[None])[:, 0].unbind(0)
-        x, y, z = (component.unbind(0) for component in edges.gather(vectors).unbind(1))
+        still = edges.gather(scalars.unsqueeze(0))
+        directed = edges.gather(self.mix(scalars).unsqueeze(0))
+        moved = edges.gather(vectors)
+        count = len(still)
+        x, y, z = moved[:count], moved[count : 2 * count], moved[2 * count :]
         invariant, paths = [], []
         for weights in edges.weights.unbind(2):
             one, px, py, pz = (harmonic.unbind(0) for harmonic in weights.unbind(0))
@@ -119,13 +124,10 @@ class SteerableConv(nn.Module):
 
 def _sum(*products: tuple[Sequence[torch.Tensor], Sequence[torch.Tensor]]) -> torch.Tensor:
     """Sum weight * feature over all pairs of all products, without a temporary per pair."""
-    total = None
-    for weights, features in products:
-        for weight, feature in zip(weights, features, strict=True):
-            if total is None:
-                total = weight * feature
-            else:
-                total = torch.addcmul(total, weight, feature)
+    pairs = [pair for product in products for pair in zip(*product, strict=True)]
+    total = pairs[0][0] * pairs[0][1]
+    for weight, feature in pairs[1:]:
+        total = torch.addcmul(total, weight, feature)
     return total
 
 

@@ -1,0 +1,113 @@
+"""Pictures of the worlds of a batch, one world after the other on a single stage."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from mani_skill.envs.sapien_env import BaseEnv
+from mani_skill.sensors.camera import CameraConfig
+from mani_skill.utils import sapien_utils
+
+from maniskill_grpd.tasks.batched_scene import BatchedScene
+from maniskill_grpd.tasks.drawing import Drawing, Painter
+
+MAX_DRAWN_WORLDS = 16
+"""`render()` draws one image per world for at most this many worlds."""
+
+
+class WorldPictures(BaseEnv):
+    """The part of an environment that takes pictures.
+
+    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, matplotlib draws
+    what `render_mode="rgb_array"` returns.
+    """
+
+    scene: BatchedScene
+    _painter: Painter
+    _drawn_worlds: range
+    """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
+
+    @abstractmethod
+    def _drawing(self, world: int) -> Drawing:
+        """Return what there is to see in a world."""
+
+    @property
+    def _default_sensor_configs(self) -> list[CameraConfig]:
+        return [self._camera("base_camera", 128, "minimal")]
+
+    @property
+    def _default_human_render_camera_configs(self) -> CameraConfig:
+        return self._camera("render_camera", 512, "default")
+
+    @staticmethod
+    def _camera(uid: str, size: int, shader_pack: str) -> CameraConfig:
+        """Return a camera above the near edge of the table that sees all of the workspace."""
+        pose = sapien_utils.look_at(eye=[0.0, -0.8, 1.1], target=[0.0, -0.03, 0.0])
+        return CameraConfig(
+            uid,
+            pose=pose,
+            width=size,
+            height=size,
+            fov=0.85,
+            near=0.01,
+            far=10.0,
+            shader_pack=shader_pack,
+        )
+
+    def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
+        """Return one image per world, (min(B, 16), H, W, 3) uint8."""
+        if self.scene.can_render():
+            return self._picture_worlds(partial(super().render_rgb_array, camera_name))
+        return self._picture_worlds(self._painter.picture)
+
+    def render_sensors(self) -> torch.Tensor:
+        """Return what the cameras of each world see, side by side."""
+        return self._picture_worlds(super().render_sensors)
+
+    def render_all(self) -> torch.Tensor:
+        """Return `render_rgb_array` and `render_sensors` side by side."""
+        return self._picture_worlds(super().render_all)
+
+    def render_human(self) -> Any:  # noqa: ANN401
+        """Show the first world in SAPIEN's viewer."""
+        self._painter.show(self._drawing(0))
+        return super().render_human()
+
+    def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
+        """Return the cameras' parameters, (B, ...): all worlds are seen by the same cameras."""
+        num = len(self._drawn_worlds)
+        return {
+            camera: {
+                name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()
+            }
+            for camera, params in super().get_sensor_params().items()
+        }
+
+    def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
+        images = []
+        for world in self._drawn_worlds:
+            self._painter.show(self._drawing(world), hide_goal=True)
+            images.append(super()._get_obs_sensor_data(apply_texture_transforms))
+        return {
+            camera: {
+                name: torch.cat([image[camera][name] for image in images]) for name in textures
+            }
+            for camera, textures in images[0].items()
+        }
+
+    def _picture_worlds(self, take_picture: Callable[[], torch.Tensor]) -> torch.Tensor:
+        """Take pictures (1, H, W, 3) or (H, W, 3) of each world, up to the largest number, and stack them."""
+        pictures = []
+        try:
+            for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
+                self._drawn_worlds = range(world, world + 1)
+                self._painter.show(self._drawing(world))
+                picture = take_picture()
+                pictures.append(picture if picture.ndim == 4 else picture[None])
+        finally:
+            self._drawn_worlds = range(self.num_envs)
+        return torch.cat(pictures)

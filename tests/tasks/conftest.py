@@ -1,0 +1,39 @@
+"""Environments for tests."""
+
+import gc
+
+import gymnasium as gym
+import mani_skill.envs  # noqa: F401
+import pytest
+import torch
+
+import maniskill_grpd  # noqa: F401  (registers)
+
+
+@pytest.fixture
+def make_env(monkeypatch):
+    """Return a function that makes RopeShaping-v1 on the CPU, reset with seed 0; it is closed afterwards."""
+    # ManiSkill collects garbage whenever it builds or closes a scene: most of the time of these tests.
+    monkeypatch.setattr(gc, "collect", lambda: 0)
+    made = []
+
+    def make(num_envs=3, **options):
+        settings = {"sim_backend": "cpu", "render_backend": "none", **options}
+        made.append(gym.make("RopeShaping-v1", num_envs=num_envs, **settings))
+        made[-1].reset(seed=0)
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+@pytest.fixture
+def draw_actions():
+    """Return a function that draws actions (num_steps, B, 3 A), many of them longer than allowed."""
+
+    def draw(num_steps, num_envs, num_grippers=4, seed=0):
+        generator = torch.Generator().manual_seed(seed)
+        return torch.randn(num_steps, num_envs, 3 * num_grippers, generator=generator)
+
+    return draw

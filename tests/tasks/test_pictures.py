@@ -1,0 +1,205 @@
+"""Pictures with and without SAPIEN."""
+
+import time
+
+import numpy as np
+import pytest
+import sapien
+import torch
+
+from maniskill_grpd.tasks import render_device
+from maniskill_grpd.tasks.render_device import choose_render_device
+from maniskill_grpd.tasks.sapien_painter import _rotations
+
+
+@pytest.fixture
+def no_renderer(monkeypatch):
+    """Let no device be able to draw."""
+    monkeypatch.setattr(render_device, "can_draw", lambda device: False)
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    """Skip tests where SAPIEN cannot draw; trying takes a second."""
+    try:
+        return choose_render_device("auto", "human", "none")
+    except ValueError as error:
+        pytest.skip(str(error))
+
+
+def colors(image):
+    """Return masks of orange (rope), blue (goal, grippers) and green (solved) pixels of an image (H, W, 3)."""
+    red, green, blue = image.numpy().astype(int).transpose(2, 0, 1)
+    return {
+        "rope": (red > green + 40) & (red > blue + 60),
+        "goal": (blue > red + 25) & (blue > green + 10),
+        "solved": (green > red + 30) & (green > blue + 20),
+    }
+
+
+# ---------------------------------------------------------------- without SAPIEN
+
+
+@pytest.mark.parametrize(("num_envs", "num_pictures"), [(1, 1), (3, 3), (20, 16)])
+def test_each_world_has_its_picture(make_env, num_envs, num_pictures):
+    env = make_env(num_envs, render_mode="rgb_array")
+    images = env.render()
+    assert images.shape == (num_pictures, 512, 512, 3)
+    assert images.dtype == torch.uint8
+    assert all((images[0] != image).any() for image in images[1:])
+    assert not env.unwrapped.scene.actors
+
+
+def test_pictures_show_rope_goal_and_success(make_env):
+    env = make_env(2, render_mode="rgb_array")
+    base = env.unwrapped
+    base.solver.positions[1] = base.goal_positions[1]
+    before, after = (colors(image) for image in env.render())
+    for seen in (before, after):
+        assert seen["rope"].mean() > 0.003
+    assert before["goal"].mean() > 0.003
+    assert before["solved"].mean() == 0.0
+    assert after["solved"].mean() > 0.002
+
+
+def test_rope_is_drawn_where_the_camera_sees_it(make_env):
+    env = make_env(1, render_mode="rgb_array")
+    base = env.unwrapped
+    x = torch.linspace(-0.4, 0.4, 41)
+    base.solver.positions[0] = torch.stack([x, 0 * x, 0 * x + 0.01], dim=1)
+    rows, columns = np.nonzero(colors(env.render()[0])["rope"])
+    # x of the world is x of the picture; the camera looks at (0, -0.03, 0), a little below the rope
+    assert np.ptp(rows) < 20 and np.ptp(columns) > 300
+    assert abs(columns.mean() - 255.5) < 3
+    assert 220 < rows.mean() < 256
+
+
+def test_whole_workspace_is_in_the_picture(make_env):
+    env = make_env(1, render_mode="rgb_array")
+    reach = 0.15 + 0.4
+    corners = [[x, y, 0.01] for x in (-reach, reach) for y in (-reach, reach)]
+    pixels = env.unwrapped._painter._camera.project(np.array(corners))
+    assert (pixels > 0).all() and (pixels < 512).all()
+
+
+def test_size_of_the_picture_can_be_chosen(make_env):
+    env = make_env(1, render_mode="rgb_array", human_render_camera_configs={"width": 160, "height": 128})
+    assert env.render().shape == (1, 128, 160, 3)
+
+
+def test_pictures_are_fast_and_independent(make_env):
+    env = make_env(1, render_mode="rgb_array")
+    first = env.render()
+    kept = first.clone()
+    start = time.perf_counter()
+    for _ in range(5):
+        env.step(torch.full((1, 12), 0.5))
+        env.render()
+    assert (time.perf_counter() - start) / 5 < 0.5  # a few milliseconds on an idle machine
+    assert torch.equal(first, kept)
+
+
+def test_nothing_is_built_or_probed_when_nothing_is_drawn(make_env, monkeypatch):
+    monkeypatch.setattr(render_device, "can_draw", lambda device: pytest.fail("probed"))
+    env = make_env(2, render_backend="auto")
+    assert env.unwrapped.backend.render_backend == "none"
+    assert not env.unwrapped.scene.can_render()
+    assert env.unwrapped._painter is None
+
+
+@pytest.mark.usefixtures("no_renderer")
+@pytest.mark.parametrize("requested", ["auto", "gpu", "cpu", "none", None])
+def test_rgb_array_works_without_a_renderer(make_env, requested):
+    env = make_env(1, render_mode="rgb_array", render_backend=requested)
+    assert env.render().shape == (1, 512, 512, 3)
+
+
+@pytest.mark.usefixtures("no_renderer")
+@pytest.mark.parametrize(
+    "options",
+    [{"obs_mode": "rgb"}, {"obs_mode": "graph+rgb"}, {"obs_mode": "pointcloud"}]
+    + [{"render_mode": mode} for mode in ("human", "sensors", "all")],
+)
+def test_what_needs_a_renderer_says_how_to_get_one(make_env, options):
+    with pytest.raises(ValueError, match="needs a renderer.*Vulkan.*apt-get install mesa-vulkan-drivers"):
+        make_env(1, render_backend="auto", **options)
+
+
+def test_probe_survives_a_crashing_driver_and_remembers(monkeypatch):
+    monkeypatch.setattr(render_device, "_PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
+    assert not render_device.can_draw("a device that crashes")
+    monkeypatch.setattr(render_device, "_PROBE", "raise SystemExit(0)")
+    assert not render_device.can_draw("a device that crashes")
+    assert render_device.can_draw("a device that works")
+
+
+def test_probe_gives_up_on_a_driver_that_hangs(monkeypatch):
+    monkeypatch.setattr(render_device, "_PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(render_device, "PROBE_TIMEOUT", 0.2)
+    assert not render_device.can_draw("a device that hangs")
+
+
+def test_render_backends_are_tried_in_order(monkeypatch):
+    tried = []
+    monkeypatch.setattr(render_device, "can_draw", lambda device: tried.append(device) or device == "cpu")
+    assert choose_render_device("auto", "rgb_array", "none") == "cpu"
+    assert tried == ["cuda", "cpu"]
+    assert choose_render_device("sapien_cpu", None, "rgb") == "cpu"
+    assert choose_render_device("gpu", "rgb_array", "none") is None
+    assert choose_render_device("sapien_cuda:1", "rgb_array", "none") is None
+    assert tried[-2:] == ["cuda", "cuda:1"]
+
+
+def test_capsules_are_turned_along_the_rope():
+    directions = np.concatenate([np.random.default_rng(0).normal(size=(50, 3)), [[-1, 0, 0], [1, 0, 0]]])
+    for direction, quaternion in zip(directions, _rotations(directions), strict=True):
+        turned = sapien.Pose(q=quaternion).to_transformation_matrix()[:3, 0]
+        np.testing.assert_allclose(turned, direction / np.linalg.norm(direction), atol=1e-5)
+
+
+# ---------------------------------------------------------------- with SAPIEN
+
+
+def test_sapien_pictures_show_rope_goal_and_success(make_env, renderer):
+    env = make_env(2, render_mode="rgb_array", render_backend=renderer)
+    base = env.unwrapped
+    assert base.scene.can_render()
+    base.solver.positions[1] = base.goal_positions[1]
+    images = env.render()
+    assert images.shape == (2, 512, 512, 3)
+    assert images.dtype == torch.uint8
+    before, after = (colors(image) for image in images)
+    assert before["rope"].mean() > 0.002 and before["goal"].mean() > 0.002
+    assert before["solved"].mean() == 0.0
+    assert after["solved"].mean() > 0.002
+    assert set(base.get_state_dict()) == {"articulations", "controller", "solver", "episode"}
+
+
+def test_both_painters_agree(make_env, renderer):
+    images = [make_env(1, render_mode="rgb_array", render_backend=backend).render()[0] for backend in (renderer, "none")]
+    centres = [np.argwhere(colors(image)["rope"]).mean(axis=0) for image in images]
+    np.testing.assert_allclose(centres[0], centres[1], atol=4)
+
+
+@pytest.mark.parametrize("obs_mode", ["rgb+graph", "rgb+depth+segmentation+state", "pointcloud"])
+def test_image_observations_of_each_world(make_env, renderer, obs_mode):
+    env = make_env(2, obs_mode=obs_mode, render_backend=renderer)
+    obs = env.step(torch.zeros(2, 12))[0]
+    assert ("graph" in obs) == ("graph" in obs_mode)
+    assert ("state" in obs) == ("state" in obs_mode)
+    if obs_mode == "pointcloud":
+        assert obs["pointcloud"]["xyzw"].shape == (2, 128 * 128, 4)
+        return
+    images = obs["sensor_data"]["base_camera"]["rgb"]
+    assert images.shape == (2, 128, 128, 3)
+    assert (images[0] != images[1]).any()
+    assert obs["sensor_param"]["base_camera"]["extrinsic_cv"].shape[0] == 2
+    assert env.unwrapped.get_sensor_images()["base_camera"]["rgb"].shape == (2, 128, 128, 3)
+
+
+@pytest.mark.parametrize("render_mode", ["sensors", "all"])
+def test_other_render_modes(make_env, renderer, render_mode):
+    env = make_env(2, render_mode=render_mode, render_backend=renderer)
+    images = env.render()
+    assert images.shape[0] == 2
+    assert images.shape[-1] == 3
