@@ -22,8 +22,8 @@ STEP_SIZE = 0.03
 class FloatingGrippers(BaseAgent):
     """A grippers that float freely, driven together as one agent.
 
-    Control mode `pd_ee_delta_pos`: a normalised action Box(-1, 1, (3 * A,)), one 3-vector in the world
-    frame per gripper, limited to length 1 and scaled to 3 cm per control step.
+    Control mode `pd_ee_delta_pos`: a normalised action Box(-1, 1, (3 * A,)), one 3-vector in the
+    world frame per gripper, limited to length 1 and scaled to 3 cm per control step.
 
     The scene must have a `solver` with `gripper_positions` and `gripper_targets` (B, A, 3).
     """

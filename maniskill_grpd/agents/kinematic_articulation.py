@@ -101,7 +101,7 @@ class KinematicArticulation:
         return self.scene.device
 
     @property
-    def px(self) -> Any:  # noqa: ANN401  (a PhysX system of either backend)
+    def px(self) -> Any:
         """The PhysX system; controllers read the length of a time step from it."""
         return self.scene.px
 

@@ -22,12 +22,12 @@ class GraphNormalizer(nn.Module):
 
     For a vector channel v the number is sqrt(E[|v|^2] / 3), the RMS of one component under random
     rotation; for a scalar channel sqrt(E[s^2]). No mean is subtracted from anything and no axis has
-    a scale of its own: either would break SO(3) equivariance. Outliers are shortened: vectors to the
-    norm `clip` (direction kept), scalars to [-clip, clip].
+    a scale of its own: either would break SO(3) equivariance. Outliers are shortened: vectors to
+    the norm `clip` (direction kept), scalars to [-clip, clip].
 
-    Positions are returned as they are (they enter policies only as differences); gravity in units of
-    9.81 m/s^2. Until the first `update` channels are not scaled. Whatever stands in padding, even
-    NaN, is replaced by zeros.
+    Positions are returned as they are (they enter policies only as differences); gravity in units
+    of 9.81 m/s^2. Until the first `update` channels are not scaled. Whatever stands in padding,
+    even NaN, is replaced by zeros.
 
     Args:
         schema: What the graphs hold.

@@ -1,7 +1,7 @@
 """Names, kinds and units of the channels of an observation graph.
 
-Letters used for shapes here and in the policies: B worlds or minibatch, N object nodes, A actuators,
-K neighbours of a node, V vector channels, S scalar channels.
+Letters used for shapes here and in the policies: B worlds or minibatch, N object nodes, A
+actuators, K neighbours of a node, V vector channels, S scalar channels.
 """
 
 from __future__ import annotations
@@ -201,6 +201,8 @@ def _validate_neighbors(nodes: Mapping[str, torch.Tensor]) -> None:
     last = shape[2] if len(shape) > 2 else -1
     _expect_shape("object.neighbors", nodes["neighbors"], (batch, count, last))
     _expect_dtype("object.neighbors", nodes["neighbors"], "int64")
+    if last < 1:
+        raise ValueError("object.neighbors must have at least one column, of -1 without neighbours")
 
 
 def _validate_values(graph: Mapping[str, Any]) -> None:

@@ -154,7 +154,10 @@ class Solver:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that the next step depends on, each as a copy (B, D) in float32."""
-        return {name: tensor.reshape(self.num_worlds, -1).float() for name, tensor in self._state_tensors.items()}
+        return {
+            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True)
+            for name, tensor in self._state_tensors.items()
+        }
 
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
         """Restore what `state()` returned, for all worlds or for `world_idx` (b,) with rows (b, D).
@@ -176,10 +179,10 @@ class Solver:
     def _allocate_state(self) -> None:
         shape, device = (self.num_worlds, self.model.num_nodes), self.device
         rest = torch.as_tensor(self.model.rest_positions, device=device)
-        self.positions = rest.expand(*shape, 3).contiguous()
+        self.positions = rest.repeat(self.num_worlds, 1, 1)
         self.velocities = torch.zeros(*shape, 3, device=device)
         masses = torch.as_tensor(self.model.masses, device=device)
-        self.inverse_masses = (1.0 / masses).expand(shape).contiguous()
+        self.inverse_masses = (1.0 / masses).repeat(self.num_worlds, 1)
         self.gravity = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=device).repeat(self.num_worlds, 1)
         self.plane = torch.tensor([0.0, 0.0, 1.0, 0.0], device=device).repeat(self.num_worlds, 1)
         self.friction = torch.full((self.num_worlds,), self.model.friction, device=device)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import torch
@@ -30,13 +30,19 @@ class GRPDOptions:
     """Options of GRPD."""
 
     scalar_dim: int = 32
-    """Scalar channels of a node."""
+    """Scalar channels of an object node."""
     vector_dim: int = 16
-    """Vector channels of a node."""
+    """Vector channels of an object node."""
+    actuator_scalar_dim: int = 64
+    """Scalar channels of an actuator; there are few actuators, so width is cheap."""
+    actuator_vector_dim: int = 16
+    """Vector channels of an actuator."""
     num_layers: int = 1
     """Rounds of object-object message passing (eq. 36, 37)."""
     num_radial: int = 6
-    """Radial functions of the edges between actuators and from objects to actuators."""
+    """Radial functions of the edges from objects to actuators."""
+    num_actuator_radial: int = 3
+    """Radial functions of the edges between actuators."""
     num_local_radial: int = 1
     """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
     max_degree: int = 1
@@ -53,25 +59,35 @@ class GRPDOptions:
     """Whether the value function reads the actor's node features or has an encoder of its own."""
 
     def __post_init__(self) -> None:
-        for name in ("scalar_dim", "vector_dim", "num_radial", "num_local_radial", "value_dim"):
-            if getattr(self, name) < 1:
+        for name in (field.name for field in fields(self)):
+            if name.endswith(("_dim", "_radial")) and getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.num_layers < 0:
             raise ValueError(f"num_layers must not be negative, got {self.num_layers}")
         if self.max_degree not in (1, 2):
             raise ValueError(f"max_degree must be 1 or 2, got {self.max_degree}")
 
+    @property
+    def object_dims(self) -> tuple[int, int]:
+        """Scalar and vector channels of object nodes."""
+        return self.scalar_dim, self.vector_dim
+
+    @property
+    def actuator_dims(self) -> tuple[int, int]:
+        """Scalar and vector channels of actuators."""
+        return self.actuator_scalar_dim, self.actuator_vector_dim
+
 
 class GRPD(Policy):
     """SE(3)-equivariant policy on heterogeneous graphs.
 
-    An encoder passes messages between object nodes (eq. 36, 37), between actuators (38, 39) and from
-    all object nodes to every actuator (40, 41), each with weights of its own. Actuator features are
-    decoded to direction times magnitude with isotropic noise (48-54); a DeepSets function of all node
-    features gives the value (8).
+    An encoder passes messages between object nodes (eq. 36, 37), between actuators (38, 39) and
+    from all object nodes to every actuator (40, 41), each with weights of its own. Actuator
+    features are decoded to direction times magnitude with isotropic noise (48-54); a DeepSets
+    function of all node features gives the value (8).
 
-    Rotating, translating the scene, and gravity with it, rotates the mean action and leaves standard
-    deviation and value alone, to rounding. Any number of nodes and actuators is accepted.
+    Rotating, translating the scene, and gravity with it, rotates the mean action and leaves
+    standard deviation and value alone, to rounding. Any number of nodes and actuators is accepted.
 
     Args:
         schema: What the graphs hold.
@@ -83,14 +99,14 @@ class GRPD(Policy):
 
     def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
         super().__init__(schema, asdict(options))
-        dims = (options.scalar_dim, options.vector_dim)
+        dims = (options.object_dims, options.actuator_dims)
         self.encoder = GRPDEncoder(schema, options)
-        self.mean = DirectionMagnitudeDecoder(*dims, options.magnitude)
-        self.std = IsotropicStd(*dims, options.init_std, options.state_dependent_std)
+        self.mean = DirectionMagnitudeDecoder(*dims[1], options.magnitude)
+        self.std = IsotropicStd(*dims[1], options.init_std, options.state_dependent_std)
         self.value_encoder: GRPDEncoder | None = None
         if options.value_encoder == "separate":
             self.value_encoder = GRPDEncoder(schema, options)
-        self.critic = DeepSetsValue([dims, dims], options.scalar_dim, options.value_dim)
+        self.critic = DeepSetsValue(dims, options.scalar_dim, options.value_dim)
 
     def evaluate(
         self, graph: Mapping[str, Any], *, actor: bool, critic: bool
@@ -121,24 +137,25 @@ class GRPDEncoder(nn.Module):
 
     def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
         super().__init__()
-        dims = (options.scalar_dim, options.vector_dim)
+        dims, tool_dims = options.object_dims, options.actuator_dims
         self.embed_object = NodeEmbedding(
             schema.object.num_vectors, schema.object.num_scalars, *dims
         )
         self.embed_actuator = NodeEmbedding(
-            schema.actuator.num_vectors, schema.actuator.num_scalars, *dims
+            schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims
         )
         edge, size = schema.edge_length, schema.length_scale
         self.local_geometry = EdgeGeometry(options.num_local_radial, 1, edge, 0.5 * edge)
-        self.actuator_geometry = EdgeGeometry(options.num_radial, 1, size, 0.05 * size)
+        self.actuator_geometry = EdgeGeometry(options.num_actuator_radial, 1, size, 0.05 * size)
         self.global_geometry = EdgeGeometry(
             options.num_radial, options.max_degree, size, 0.05 * size
         )
         self.object_rounds = nn.ModuleList(
-            _MessageRound(dims, options.num_local_radial, 1) for _ in range(options.num_layers)
+            _MessageRound(dims, dims, options.num_local_radial, 1)
+            for _ in range(options.num_layers)
         )
-        self.actuator_round = _MessageRound(dims, options.num_radial, 1)
-        self.global_round = _MessageRound(dims, options.num_radial, options.max_degree)
+        self.actuator_round = _MessageRound(tool_dims, tool_dims, options.num_actuator_radial, 1)
+        self.global_round = _MessageRound(dims, tool_dims, options.num_radial, options.max_degree)
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[_Features, _Features]:
         """Encode a graph.
@@ -169,10 +186,22 @@ class GRPDEncoder(nn.Module):
 class _MessageRound(nn.Module):
     """Convolution along one edge type, then the update of its receivers (eq. 2, 3)."""
 
-    def __init__(self, dims: tuple[int, int], num_radial: int, max_degree: int) -> None:
+    def __init__(
+        self,
+        sender_dims: tuple[int, int],
+        receiver_dims: tuple[int, int],
+        num_radial: int,
+        max_degree: int,
+    ) -> None:
         super().__init__()
-        self.conv = SteerableConv(*dims, num_radial=num_radial, max_degree=max_degree)
-        self.update = EquivariantUpdate(*dims, message_dim=dims[0])
+        self.conv = SteerableConv(
+            *sender_dims,
+            num_radial=num_radial,
+            max_degree=max_degree,
+            out_scalar_dim=receiver_dims[0],
+            out_vector_dim=receiver_dims[1],
+        )
+        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0])
 
     def forward(self, senders: _Features, receivers: _Features, edges: Any) -> _Features:
         return self.update(*receivers, *self.conv(*senders, edges))

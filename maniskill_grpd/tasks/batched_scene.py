@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 class BatchedScene(ManiSkillScene):
     """Scene whose worlds live in a deformable solver.
 
-    ManiSkill counts worlds by SAPIEN sub-scenes and allows a single one on CPU. Here `num_envs` is the
-    number of worlds of the solver; the only sub-scene is a stage on which one world at a time is
-    mirrored to take its picture. Nothing dynamic lives in PhysX.
+    ManiSkill counts worlds by SAPIEN sub-scenes and allows a single one on CPU. Here `num_envs` is
+    the number of worlds of the solver; the only sub-scene is a stage on which one world at a time
+    is mirrored to take its picture. Nothing dynamic lives in PhysX.
 
     Attributes:
         solver: The deformable worlds; agents find their grippers in it.
     """
 
-    def __init__(self, stage: sapien.Scene, solver: Solver, **settings: Any) -> None:  # noqa: ANN401
+    def __init__(self, stage: sapien.Scene, solver: Solver, **settings: Any) -> None:
         """Wrap a solver.
 
         Args:

@@ -12,8 +12,9 @@ def choose_compute_device(sim_backend: str) -> torch.device:
     """Return the torch device for a simulation backend.
 
     Args:
-        sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu", or "cuda", which may name a GPU as
-            in "cuda:1". ManiSkill's names "physx_cpu", "physx_cuda" and "gpu" mean the same here.
+        sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu", or "cuda", which may name a
+            GPU as in "cuda:1". ManiSkill's names "physx_cpu", "physx_cuda" and "gpu" mean the same
+            here.
 
     Raises:
         ValueError: If the backend is unknown, or is CUDA where torch finds no GPU.
@@ -25,7 +26,7 @@ def choose_compute_device(sim_backend: str) -> torch.device:
         return torch.device("cpu")
     if name not in CUDA_BACKENDS or (index and not index.isdigit()):
         raise ValueError(
-            f'unknown sim_backend {sim_backend!r}; allowed are "auto", "cpu", "cuda" and "cuda:<index>"'
+            f'unknown sim_backend {sim_backend!r}; allowed are "auto", "cpu", "cuda" and "cuda:<n>"'
         )
     if not torch.cuda.is_available():
         raise ValueError(

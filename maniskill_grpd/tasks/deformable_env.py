@@ -49,20 +49,21 @@ class DeformableEnv(WorldPictures):
         5. `compute_dense_reward`
 
     A task implements `_build_model`, `_choose_gripper_nodes`, `_start_episode`, `evaluate`,
-    `compute_dense_reward` and `_drawing`, names its channels in `OBJECT_CHANNELS` and `GRIPPER_CHANNELS`,
-    and fills those that are its own in `_object_values` and `_gripper_values`. Tensors that belong to
-    an episode, such as goals, come from `_episode_tensor`: they become part of the state.
+    `compute_dense_reward` and `_drawing`, names its channels in `OBJECT_CHANNELS` and
+    `GRIPPER_CHANNELS`, and fills those that are its own in `_object_values` and `_gripper_values`.
+    Tensors that belong to an episode, such as goals, come from `_episode_tensor`: they become part
+    of the state.
 
     Args:
         num_envs: Number of worlds B.
-        obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill where SAPIEN
-            can draw, or any of them joined as in "state+graph" and "graph+rgb".
+        obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill where
+            SAPIEN can draw, or any of them joined as in "state+graph" and "graph+rgb".
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
         render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
             `render_mode="rgb_array"` draws simple pictures with matplotlib.
         pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
-        graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default. The
-            simulation keeps all nodes.
+        graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default.
+            The simulation keeps all nodes.
         num_threads: CPU threads of the solver, chosen by it by default.
         settings: Further settings of ManiSkill's `BaseEnv`.
 
@@ -101,7 +102,7 @@ class DeformableEnv(WorldPictures):
         pose_range: str = "full",
         graph_nodes: int | None = None,
         num_threads: int | None = None,
-        **settings: Any,  # noqa: ANN401
+        **settings: Any,
     ) -> None:
         _check_choice("pose_range", pose_range, tuple(POSE_RANGES))
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
@@ -119,7 +120,8 @@ class DeformableEnv(WorldPictures):
             num_envs=num_envs,
             obs_mode=base_mode,
             render_mode=render_mode,
-            # Both are replaced in `backend`. PhysX stays empty, and on the CPU: it must not take GPU memory.
+            # Both are replaced in `backend`. PhysX stays empty, and on the CPU so as not to take
+            # GPU memory.
             sim_backend="physx_cpu",
             render_backend="none",
             **settings,
@@ -163,12 +165,12 @@ class DeformableEnv(WorldPictures):
         return SimConfig(sim_freq=CONTROL_FREQ, control_freq=CONTROL_FREQ)
 
     @property
-    def backend(self) -> Any:  # noqa: ANN401
+    def backend(self) -> Any:
         """ManiSkill's record of the backends in use: "warp_cpu" or "warp_cuda", and what draws."""
         return self._backend
 
     @backend.setter
-    def backend(self, backend: Any) -> None:  # noqa: ANN401
+    def backend(self, backend: Any) -> None:
         # ManiSkill forbids several worlds on a backend of the name "physx_cpu", which this is not.
         backend.sim_backend = f"warp_{self._compute_device.type}"
         if self._render_device_name is not None:
@@ -179,8 +181,8 @@ class DeformableEnv(WorldPictures):
     def _adopt_compute_device(self) -> None:
         """Move to the device of the solver.
 
-        Not earlier than the first reset: ManiSkill's constructor starts PhysX on the GPU when it meets
-        a CUDA device.
+        Not earlier than the first reset: ManiSkill's constructor starts PhysX on the GPU when it
+        meets a CUDA device.
         """
         if self.device != self._compute_device:
             self.device = self.backend.device = self._compute_device
@@ -189,8 +191,8 @@ class DeformableEnv(WorldPictures):
     def _setup_scene(self) -> None:
         if self._sim_steps_per_control != 1:
             raise ValueError(
-                "sim_config must have sim_freq equal to control_freq (the solver has its own substeps), "
-                f"got {self._sim_freq} and {self._control_freq}"
+                "sim_config must have sim_freq equal to control_freq (the solver has its own "
+                f"substeps), got {self._sim_freq} and {self._control_freq}"
             )
         self._set_scene_config()
         self.model = self._build_model()
@@ -267,7 +269,7 @@ class DeformableEnv(WorldPictures):
             self._enhanced_determinism = determinism
 
     def _seed_worlds(self, seeds: list[int], worlds: np.ndarray) -> None:
-        """Seed some worlds. ManiSkill would seed all of them, and so change the others' next episodes."""
+        """Seed some worlds. ManiSkill would seed all, and so change the others' next episodes."""
         self._batched_main_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
         self._batched_episode_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
         self._episode_seed[worlds] = seeds
@@ -278,7 +280,7 @@ class DeformableEnv(WorldPictures):
         self.agent.robot.place(worlds)
 
     def _draw_uniform(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
-        """Draw numbers in [-1, 1) for some worlds (b,), from the random generator of each, (b, num)."""
+        """Draw numbers in [-1, 1) for some worlds (b,), from each one's generator, (b, num)."""
         draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
         return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
 
@@ -301,20 +303,20 @@ class DeformableEnv(WorldPictures):
         """The observation mode, with the graph."""
         return self._full_obs_mode
 
-    def get_obs(self, info: dict | None = None, unflattened: bool = False) -> Any:  # noqa: ANN401
+    def get_obs(self, info: dict | None = None, unflattened: bool = False) -> Any:
         """Return the observation, as copies; `info` is what `get_info` returned for this state."""
         info = self.get_info() if info is None else info
         obs = super().get_obs(info, unflattened=unflattened)
         return self._with_graph(obs, self._get_obs_graph()) if self._has_graph else obs
 
-    def _flatten_raw_obs(self, obs: Any) -> Any:  # noqa: ANN401
+    def _flatten_raw_obs(self, obs: Any) -> Any:
         if not (self._has_graph and isinstance(obs, dict) and "graph" in obs):
             return super()._flatten_raw_obs(obs)
         graph = obs.pop("graph")
         return self._with_graph(super()._flatten_raw_obs(obs), graph)
 
     @staticmethod
-    def _with_graph(obs: Any, graph: dict) -> dict:  # noqa: ANN401
+    def _with_graph(obs: Any, graph: dict) -> dict:
         rest = obs if isinstance(obs, dict) else {"state": obs}
         return {**rest, "graph": graph}
 
@@ -327,7 +329,7 @@ class DeformableEnv(WorldPictures):
         self,
         obs: Any,
         action: torch.Tensor,
-        info: dict,  # noqa: ANN401
+        info: dict,
     ) -> torch.Tensor:
         """Return the dense reward, which is in [0, 1] in all tasks."""
         return self.compute_dense_reward(obs=obs, action=action, info=info)
@@ -337,11 +339,11 @@ class DeformableEnv(WorldPictures):
     def get_state_dict(self) -> StateDict:
         """Return everything that the future depends on, as copies; leaves (B, D)."""
         state = super().get_state_dict()
-        state["solver"] = {name: value.clone() for name, value in self.solver.state().items()}
+        state["solver"] = self.solver.state()
         state["episode"] = {name: t.flatten(1).clone() for name, t in self._episode_tensors.items()}
         return state
 
-    def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:  # noqa: ANN401
+    def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:
         """Restore what `get_state_dict` returned.
 
         Args:
@@ -354,12 +356,12 @@ class DeformableEnv(WorldPictures):
         worlds = self._world_indices(env_idx)
         self._write_state(read_rows(state, self.get_state_dict(), len(worlds)), worlds)
 
-    def set_state(self, state: Any, env_idx: Any = None) -> None:  # noqa: ANN401
+    def set_state(self, state: Any, env_idx: Any = None) -> None:
         """Restore what `get_state` returned: rows (b, D), or (D,) for a single world."""
         worlds = self._world_indices(env_idx)
         self._write_state(read_flat(state, self.get_state_dict(), len(worlds)), worlds)
 
-    def _world_indices(self, env_idx: Any) -> torch.Tensor:  # noqa: ANN401
+    def _world_indices(self, env_idx: Any) -> torch.Tensor:
         if env_idx is None:
             return torch.arange(self.num_envs, device=self.device)
         worlds = torch.atleast_1d(torch.as_tensor(env_idx, device=self.device))

@@ -9,7 +9,7 @@ from maniskill_grpd.physics import resample_polyline
 W_STROKE_ANGLE = np.deg2rad(55.0)
 """Angle between the strokes of the W and its base line."""
 POINTS_PER_SEGMENT = 64
-"""Points of the fine polyline per segment of the goal curve: corners are cut by less than 2 % of it."""
+"""Points of the fine polyline per segment of the goal curve; corners are cut by below 2 %."""
 CHORD_ITERATIONS = 100
 """Far more than needed: the spread of the chords shrinks by half or better in each iteration."""
 
@@ -26,7 +26,8 @@ def goal_curve(name: str, length: float, num_nodes: int) -> np.ndarray:
         num_nodes: Number of nodes N of the rope.
 
     Returns:
-        Positions in the plane, (N, 2) float64 [m], in the order of the nodes, their mean at the origin.
+        Positions in the plane, (N, 2) float64 [m], in the order of the nodes, their mean at the
+        origin.
 
     Raises:
         ValueError: If there is no shape of that name.
@@ -41,7 +42,7 @@ def goal_curve(name: str, length: float, num_nodes: int) -> np.ndarray:
 
 
 def _with_equal_chords(outline: np.ndarray, num: int) -> np.ndarray:
-    """Place `num` points along a polyline, ends included, such that neighbours are equally far apart.
+    """Place `num` points along a polyline, ends included, with neighbours equally far apart.
 
     Fixed-point iteration on their arc-length parameters: points move to where the cumulated chord
     length of the last iterate says they should be.

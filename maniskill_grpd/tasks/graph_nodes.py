@@ -27,8 +27,8 @@ def choose_graph_nodes(model: Model, num: int | None, keep: np.ndarray) -> np.nd
     fewest = max(2, len(kept))
     if not fewest <= num <= model.num_nodes:
         raise ValueError(
-            f"graph_nodes must be in [{fewest}, {model.num_nodes}] (the nodes that grippers hold up to "
-            f"all nodes of the object), got {num}"
+            f"graph_nodes must be in [{fewest}, {model.num_nodes}] (from the nodes that grippers "
+            f"hold to all nodes of the object), got {num}"
         )
     return np.sort(_sample_farthest(model.rest_positions.astype(np.float64), num, kept))
 

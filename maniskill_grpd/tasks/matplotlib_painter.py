@@ -114,7 +114,7 @@ class _PinholeCamera:
         self._centre = np.array([config.width / 2.0, config.height / 2.0])
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Return the pixels (n, 2), x right and y down, of points (n, 3) [m]; NaN behind the camera."""
+        """Return the pixels (n, 2), x right and y down, of points (n, 3) [m]; NaN behind it."""
         forward, left, up = ((points - self._position) @ self._rotation).T
         forward = np.where(forward > 1e-3, forward, np.nan)
         return self._centre - self._focal * np.stack([left, up], axis=1) / forward[:, None]

@@ -5,7 +5,8 @@ from __future__ import annotations
 GRAPH = "graph"
 STATE_MODES = ("state", "state_dict", "none")
 IMAGE_MODES = (
-    "rgb", "depth", "segmentation", "position", "normal", "albedo", "rgbd", "pointcloud", "sensor_data",
+    "rgb", "depth", "segmentation", "position", "normal", "albedo",
+    "rgbd", "pointcloud", "sensor_data",
 )  # fmt: skip
 STAND_ALONE_MODES = ("none", "rgbd", "sensor_data")
 """Modes that ManiSkill cannot join with another one of its own."""
@@ -25,8 +26,8 @@ def split_observation_mode(mode: str | None) -> tuple[str, bool]:
     unknown = [word for word in words if word not in allowed]
     if unknown:
         raise ValueError(
-            f"unknown observation mode {unknown[0]!r} in {mode!r}; allowed are {', '.join(allowed)} "
-            'and combinations joined by "+"'
+            f"unknown observation mode {unknown[0]!r} in {mode!r}; allowed are {', '.join(allowed)}"
+            ' and combinations joined by "+"'
         )
     rest = [word for word in words if word != GRAPH]
     alone = [word for word in rest if word in STAND_ALONE_MODES]

@@ -12,12 +12,12 @@ from mani_skill import logger
 from maniskill_grpd.tasks.observation_mode import needs_camera
 
 PROBE_TIMEOUT = 120.0
-"""Patience with a driver that hangs [s]; most answer in one second, some compile shaders for a minute."""
+"""Patience with a driver that hangs [s]; most answer in a second, some take a minute."""
 AUTOMATIC_DEVICES = ("cuda", "cpu", "pci:0")
-"""Devices to try, best first. SAPIEN does not find every GPU and software driver by the first two names."""
+"""Devices to try, best first. The first two names miss some GPUs and software drivers."""
 INSTALL_HINT = (
-    "SAPIEN needs a Vulkan driver: that of an NVIDIA GPU, or Mesa's software driver from version 23 on "
-    "(Debian 13 / Ubuntu 24.04: apt-get install mesa-vulkan-drivers libvulkan1)"
+    "SAPIEN needs a Vulkan driver: that of an NVIDIA GPU, or Mesa's software driver from version "
+    "23 on (Debian 13 / Ubuntu 24.04: apt-get install mesa-vulkan-drivers libvulkan1)"
 )
 
 _PROBE = """
@@ -44,8 +44,8 @@ def choose_render_device(
     """Return SAPIEN's name of the device to draw with, None where nothing is drawn by SAPIEN.
 
     Args:
-        requested: "auto" (whatever can draw), "none", None, or a render backend of ManiSkill ("gpu",
-            "cuda", "cpu", "sapien_cuda", "sapien_cpu", "cuda:1", "pci:0").
+        requested: "auto" (whatever can draw), "none", None, or a render backend of ManiSkill
+            ("gpu", "cuda", "cpu", "sapien_cuda", "sapien_cpu", "cuda:1", "pci:0").
         render_mode: ManiSkill's render mode. "rgb_array" does without SAPIEN.
         obs_mode: ManiSkill's part of the observation mode.
 
@@ -73,8 +73,8 @@ def choose_render_device(
 def can_draw(device: str) -> bool:
     """Tell whether SAPIEN can take a picture with a device ("cuda", "cpu", "pci:0").
 
-    A picture is really taken, in a process of its own: drivers that only pretend to be able, or crash,
-    do no harm. The answer is remembered.
+    A picture is really taken, in a process of its own: drivers that only pretend to be able, or
+    crash, do no harm. The answer is remembered.
     """
     if platform.system() == "Darwin":
         return device == "cpu"  # SAPIEN draws through Metal there, under this name

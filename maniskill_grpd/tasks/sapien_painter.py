@@ -26,7 +26,7 @@ OUT_OF_SIGHT = np.array([0.0, 0.0, -50.0])
 class SapienPainter:
     """Mirrors one world on the SAPIEN stage of a scene.
 
-    The rope is a chain of capsules, the goal a translucent one, the grippers are balls. Table at z = 0.
+    Rope and goal are chains of capsules, the goal translucent; grippers are balls; table at z = 0.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ def _lay_chain(capsules: list[sapien.Entity], nodes: np.ndarray) -> None:
 def _rotations(directions: np.ndarray) -> np.ndarray:
     """Return the quaternions (w, x, y, z) that turn the x-axis into given directions, (n, 4)."""
     unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
-    # Halfway between (1, 0, 0) and the direction; opposite directions have no such axis, any will do.
+    # Half a turn about the middle of x-axis and direction; opposite to x any normal will do.
     quaternions = np.stack([1.0 + unit[:, 0], 0.0 * unit[:, 0], -unit[:, 2], unit[:, 1]], axis=1)
     quaternions[unit[:, 0] < -1.0 + 1e-6] = (0.0, 0.0, 0.0, 1.0)
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)

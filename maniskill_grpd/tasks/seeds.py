@@ -10,7 +10,8 @@ import numpy as np
 def expand_seeds(seed: int | Sequence[int], num_worlds: int) -> list[int]:
     """Return one seed per world.
 
-    A single number is the seed of the first world; the others are derived from it as ManiSkill does.
+    A single number is the seed of the first world; the others are derived from it as ManiSkill
+    does.
 
     Raises:
         ValueError: If a sequence has neither one seed nor one per world.

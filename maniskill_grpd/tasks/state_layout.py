@@ -24,7 +24,8 @@ def read_rows(state: Mapping[str, Any], template: StateDict, num_rows: int) -> S
         Nested dictionary in the order of `template`, leaves (num_rows, D).
 
     Raises:
-        ValueError: If an entry is missing or unknown, or a leaf has the wrong shape or is not finite.
+        ValueError: If an entry is missing or unknown, or a leaf has the wrong shape or is not
+            finite.
     """
     given = dict(_leaves(state))
     expected = dict(_leaves(template))
@@ -43,7 +44,7 @@ def read_rows(state: Mapping[str, Any], template: StateDict, num_rows: int) -> S
     return rows
 
 
-def read_flat(flat: Any, template: StateDict, num_rows: int) -> StateDict:  # noqa: ANN401
+def read_flat(flat: Any, template: StateDict, num_rows: int) -> StateDict:
     """Undo the flattening of a state dictionary; inverse of ManiSkill's `flatten_state_dict`.
 
     Args:
@@ -79,7 +80,7 @@ def _nest(tree: StateDict, path: tuple[str, ...], leaf: torch.Tensor) -> None:
     tree[path[-1]] = leaf
 
 
-def _as_rows(name: str, value: Any, num_rows: int, width: int) -> torch.Tensor:  # noqa: ANN401
+def _as_rows(name: str, value: Any, num_rows: int, width: int) -> torch.Tensor:
     tensor = value if isinstance(value, torch.Tensor) else torch.from_numpy(np.array(value))
     if tensor.ndim == 1 and num_rows == 1:
         tensor = tensor[None]

@@ -22,8 +22,8 @@ MAX_DRAWN_WORLDS = 16
 class WorldPictures(BaseEnv):
     """The part of an environment that takes pictures.
 
-    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, matplotlib draws
-    what `render_mode="rgb_array"` returns.
+    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, matplotlib
+    draws what `render_mode="rgb_array"` returns.
     """
 
     scene: BatchedScene
@@ -46,13 +46,13 @@ class WorldPictures(BaseEnv):
     @staticmethod
     def _camera(uid: str, size: int, shader_pack: str) -> CameraConfig:
         """Return a camera above the near edge of the table that sees all of the workspace."""
-        pose = sapien_utils.look_at(eye=[0.0, -0.8, 1.1], target=[0.0, -0.03, 0.0])
+        pose = sapien_utils.look_at(eye=[0.0, -0.7, 1.15], target=[0.0, -0.05, 0.0])
         return CameraConfig(
             uid,
             pose=pose,
             width=size,
             height=size,
-            fov=0.85,
+            fov=0.95,
             near=0.01,
             far=10.0,
             shader_pack=shader_pack,
@@ -72,7 +72,7 @@ class WorldPictures(BaseEnv):
         """Return `render_rgb_array` and `render_sensors` side by side."""
         return self._picture_worlds(super().render_all)
 
-    def render_human(self) -> Any:  # noqa: ANN401
+    def render_human(self) -> Any:
         """Show the first world in SAPIEN's viewer."""
         self._painter.show(self._drawing(0))
         return super().render_human()
@@ -100,7 +100,7 @@ class WorldPictures(BaseEnv):
         }
 
     def _picture_worlds(self, take_picture: Callable[[], torch.Tensor]) -> torch.Tensor:
-        """Take pictures (1, H, W, 3) or (H, W, 3) of each world, up to the largest number, and stack them."""
+        """Take a picture (1, H, W, 3) or (H, W, 3) of each world, and stack them."""
         pictures = []
         try:
             for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):

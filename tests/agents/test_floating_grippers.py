@@ -53,7 +53,8 @@ def test_is_registered_with_a_normalised_action_space(num_grippers):
     assert agent.control_mode == "pd_ee_delta_pos"
     assert space.shape == (3 * num_grippers,)
     assert agent.action_space.shape == (5, 3 * num_grippers)
-    assert (space.low == -1).all() and (space.high == 1).all()
+    assert (space.low == -1).all()
+    assert (space.high == 1).all()
 
 
 def test_rejects_a_scene_with_another_number_of_grippers():
@@ -120,11 +121,15 @@ def test_targets_stop_above_a_tilted_table_and_move_along_its_normal(seed):
     start += normal * (0.02 + offset + clearance - start @ normal).clamp_min(0.0)[..., None]
     agent.robot.drive_targets.copy_(start.flatten(1))
     agent.set_action(torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1)))
-    wanted = start + displacements(torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1)))
+    wanted = start + displacements(
+        torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1))
+    )
     reached = agent.robot.drive_targets.unflatten(1, (-1, 3))
     assert (reached @ normal >= offset + clearance - 1e-6).all()
     corrected = reached - wanted
-    torch.testing.assert_close(corrected, (corrected @ normal)[..., None] * normal, atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        corrected, (corrected @ normal)[..., None] * normal, atol=1e-6, rtol=0
+    )
     is_above = wanted @ normal >= offset + clearance
     assert (corrected[is_above].abs() < 1e-6).all()
 
@@ -163,7 +168,9 @@ def test_velocity_is_displacement_over_time():
     agent.robot.start_motion()
     agent.scene.solver.gripper_positions += torch.tensor([0.01, 0.0, -0.02])
     agent.robot.finish_motion(0.05)
-    torch.testing.assert_close(agent.robot.get_qvel(), torch.tensor([[0.2, 0.0, -0.4]]).repeat(2, 1))
+    torch.testing.assert_close(
+        agent.robot.get_qvel(), torch.tensor([[0.2, 0.0, -0.4]]).repeat(2, 1)
+    )
 
 
 def test_setters_write_only_the_worlds_being_reset():

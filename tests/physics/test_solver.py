@@ -87,6 +87,17 @@ def test_state_round_trip_continues_bitwise():
     assert_same_state(original, copy)
 
 
+def test_a_saved_state_does_not_change_with_the_solver():
+    solver = held_solver(1)
+    saved, rest = solver.state(), solver.model.rest_positions.copy()
+    expected = {name: value.clone() for name, value in saved.items()}
+    drive(solver, random_moves(1, 5))
+    assert all(torch.equal(saved[name], expected[name]) for name in saved)
+    np.testing.assert_array_equal(solver.model.rest_positions, rest)
+    solver.set_state(saved)
+    assert torch.equal(solver.positions[0], torch.as_tensor(rest))
+
+
 def test_step_commutes_with_moving_the_whole_scene():
     """Rotating and translating rope, grippers, table and gravity rotates and translates the result, within float error."""
     rotation = torch.tensor(Rotation.random(random_state=3).as_matrix(), dtype=torch.float32)

@@ -12,8 +12,8 @@ import maniskill_grpd  # noqa: F401  (registers)
 
 @pytest.fixture
 def make_env(monkeypatch):
-    """Return a function that makes RopeShaping-v1 on the CPU, reset with seed 0; it is closed afterwards."""
-    # ManiSkill collects garbage whenever it builds or closes a scene: most of the time of these tests.
+    """Return a function that makes RopeShaping-v1 on the CPU, reset with seed 0."""
+    # ManiSkill collects garbage whenever it builds or closes a scene: most of the tests' time.
     monkeypatch.setattr(gc, "collect", lambda: 0)
     made = []
 
@@ -30,7 +30,7 @@ def make_env(monkeypatch):
 
 @pytest.fixture
 def draw_actions():
-    """Return a function that draws actions (num_steps, B, 3 A), many of them longer than allowed."""
+    """Return a function that draws actions (num_steps, B, 3 A), many longer than allowed."""
 
     def draw(num_steps, num_envs, num_grippers=4, seed=0):
         generator = torch.Generator().manual_seed(seed)

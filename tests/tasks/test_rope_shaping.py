@@ -14,7 +14,7 @@ from maniskill_grpd.tasks import RopeShapingEnv, goal_curve
 
 
 def centres_and_yaws(curves):
-    """Return the centres (b, 2) and the directions from first to last node (b,) of curves (b, N, 3)."""
+    """Return centres (b, 2) and directions from first to last node (b,) of curves (b, N, 3)."""
     chord = (curves[:, -1] - curves[:, 0])[:, :2]
     return curves.mean(dim=1)[:, :2], torch.atan2(chord[:, 1], chord[:, 0])
 
@@ -30,13 +30,15 @@ def test_poses_fill_the_ranges_of_the_task_card(make_env, pose_range, share):
         for coordinate, bound in [(centre[:, 0], 0.15), (centre[:, 1], 0.15), (yaw, math.pi)]:
             bound *= share
             assert coordinate.abs().max() <= bound * (1 + 1e-5)
-            assert coordinate.max() > 0.97 * bound and coordinate.min() < -0.97 * bound
+            assert coordinate.max() > 0.97 * bound
+            assert coordinate.min() < -0.97 * bound
             # 500 uniform draws: the mean deviates by 4 sigma = 4 bound / sqrt(3 * 500) at most
             assert abs(coordinate.mean()) < 0.11 * bound
     columns = np.column_stack([part.numpy().reshape(500, -1) for pose in poses for part in pose])
     correlation = np.corrcoef(columns.T) - np.eye(6)
     assert np.abs(correlation).max() < 0.2  # independent; 4.5 sigma
-    assert "[-0.15, 0.15] m" in RopeShapingEnv.__doc__ and "[-180, 180] degrees" in RopeShapingEnv.__doc__
+    assert "[-0.15, 0.15] m" in RopeShapingEnv.__doc__
+    assert "[-180, 180] degrees" in RopeShapingEnv.__doc__
 
 
 def test_start_is_a_straight_rope_on_the_table_and_the_goal_lies_on_it(make_env):
@@ -63,13 +65,16 @@ def test_resting_rope_stays_where_it_is(make_env):
 
 
 @pytest.mark.parametrize(
-    ("num_grippers", "nodes"), [(2, [0, 40]), (3, [0, 20, 40]), (4, [0, 10, 30, 40]), (None, [0, 10, 30, 40])]
+    ("num_grippers", "nodes"),
+    [(2, [0, 40]), (3, [0, 20, 40]), (4, [0, 10, 30, 40]), (None, [0, 10, 30, 40])],
 )
 def test_grippers_hold_the_rope_at_their_arc_fractions(make_env, num_grippers, nodes):
     env = make_env(2, num_grippers=num_grippers)
     base = env.unwrapped
     assert base.agent.uid == f"floating_grippers_{len(nodes)}"
-    held = [(base.solver.holder[0] == gripper).nonzero()[:, 0].tolist() for gripper in range(len(nodes))]
+    held = [
+        (base.solver.holder[0] == gripper).nonzero()[:, 0].tolist() for gripper in range(len(nodes))
+    ]
     assert held == [[node] for node in nodes]
     assert torch.equal(base.solver.gripper_positions, base.solver.positions[:, nodes])
     assert env.action_space.shape == (2, 3 * len(nodes))
@@ -103,8 +108,12 @@ def test_success_needs_a_small_mean_and_no_far_node(make_env):
     info = base.evaluate()
     assert set(info) == {"success", "fail", "mean_distance", "max_distance"}
     assert info["success"].tolist() == [True, False, True, False]
-    torch.testing.assert_close(info["max_distance"][2:], torch.tensor([0.0799, 0.0801]), atol=1e-6, rtol=0)
-    torch.testing.assert_close(info["mean_distance"], offsets.norm(dim=-1).mean(dim=1), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        info["max_distance"][2:], torch.tensor([0.0799, 0.0801]), atol=1e-6, rtol=0
+    )
+    torch.testing.assert_close(
+        info["mean_distance"], offsets.norm(dim=-1).mean(dim=1), atol=1e-6, rtol=0
+    )
 
 
 def test_reward_is_one_at_the_goal_bounded_and_falls_with_distance(make_env):
@@ -116,7 +125,8 @@ def test_reward_is_one_at_the_goal_bounded_and_falls_with_distance(make_env):
     reward = base.get_reward(None, None, base.get_info())
     assert reward[0] == 1.0
     assert (reward.diff() < 0).all()
-    assert (reward > 0).all() and (reward <= 1).all()
+    assert (reward > 0).all()
+    assert (reward <= 1).all()
 
 
 def test_reward_is_the_formula_of_its_constants(make_env, draw_actions):
@@ -127,30 +137,38 @@ def test_reward_is_the_formula_of_its_constants(make_env, draw_actions):
     d = (base.goal_positions - base.solver.positions).norm(dim=-1)
     expected = (
         base.FAR_WEIGHT * (1 - torch.tanh(d.mean(dim=1) / base.FAR_SCALE))
-        + base.NEAR_WEIGHT * torch.exp(-((d / base.NEAR_SCALE) ** 2)).mean(dim=1)
+        + base.NEAR_WEIGHT * torch.exp(-((d.mean(dim=1) / base.NEAR_SCALE) ** 2))
         + base.SUCCESS_WEIGHT * info["success"]
     )
     torch.testing.assert_close(reward, expected)
-    assert base.FAR_WEIGHT + base.NEAR_WEIGHT + base.SUCCESS_WEIGHT == pytest.approx(1.0)
+    weights = [base.FAR_WEIGHT, base.NEAR_WEIGHT, base.SUCCESS_WEIGHT]
+    assert sum(weights) == pytest.approx(1.0)
     torch.testing.assert_close(base.compute_dense_reward(None, None, info), reward)
 
 
 def move_everything(base, rotation, translation):
     """Rotate and translate rope, grippers, goals, table and gravity of all worlds."""
     solver = base.solver
-    for points in (solver.positions, solver.gripper_positions, solver.gripper_targets, base.goal_positions):
+    for points in (
+        solver.positions,
+        solver.gripper_positions,
+        solver.gripper_targets,
+        base.goal_positions,
+    ):
         points.copy_(points @ rotation.T + translation)
     for vectors in (solver.velocities, solver.hold_offsets, solver.gravity):
         vectors.copy_(vectors @ rotation.T)
     normal = solver.plane[:, :3] @ rotation.T
-    solver.plane.copy_(torch.cat([normal, solver.plane[:, 3:] + normal @ translation[:, None]], dim=1))
+    solver.plane.copy_(
+        torch.cat([normal, solver.plane[:, 3:] + normal @ translation[:, None]], dim=1)
+    )
     velocities = base.agent.robot.qvel.unflatten(1, (-1, 3))
     base.agent.robot.qvel.copy_((velocities @ rotation.T).flatten(1))
 
 
 @pytest.fixture
 def near_goal_env(make_env, draw_actions):
-    """Worlds in motion; in half of them the goal is near, so that the reward has all of its terms."""
+    """Worlds in motion; in half of them the goal is near: the reward has all its terms."""
     env = make_env(4, shapes=("W", "S"))
     for action in draw_actions(3, 4):
         env.step(action)
@@ -170,20 +188,28 @@ def test_rewards_success_and_graph_do_not_depend_on_the_frame(near_goal_env):
     @hypothesis_settings(max_examples=15)
     def check(seed):
         base.set_state_dict(state)
-        rotation = torch.as_tensor(Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32)
+        rotation = torch.as_tensor(
+            Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32
+        )
         translation = torch.randn(3, generator=torch.Generator().manual_seed(seed))
         move_everything(base, rotation, translation)
         moved, moved_info = base.get_obs()["graph"], base.get_info()
-        torch.testing.assert_close(base.get_reward(None, None, moved_info), reward, atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            base.get_reward(None, None, moved_info), reward, atol=1e-5, rtol=0
+        )
         assert torch.equal(moved_info["success"], info["success"])
         for kind in ("object", "actuator"):
             there, here = moved[kind], graph[kind]
             torch.testing.assert_close(there["scalars"], here["scalars"], atol=2e-6, rtol=0)
-            torch.testing.assert_close(there["vectors"], here["vectors"] @ rotation.T, atol=5e-6, rtol=0)
+            torch.testing.assert_close(
+                there["vectors"], here["vectors"] @ rotation.T, atol=5e-6, rtol=0
+            )
             torch.testing.assert_close(
                 there["position"], here["position"] @ rotation.T + translation, atol=2e-6, rtol=0
             )
-        torch.testing.assert_close(moved["gravity"], graph["gravity"] @ rotation.T, atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            moved["gravity"], graph["gravity"] @ rotation.T, atol=1e-5, rtol=0
+        )
 
     check()
 
@@ -208,7 +234,7 @@ def test_a_step_commutes_with_moving_everything(near_goal_env, draw_actions):
     move_everything(base, rotation, translation)
     env.step((action.unflatten(1, (-1, 3)) @ rotation.T).flatten(1))
     torch.testing.assert_close(base.solver.gripper_positions, grippers, atol=1e-5, rtol=0)
-    # A compressed rope buckles: rounding errors grow within the step, but stay far below its radius.
+    # A compressed rope buckles: rounding errors grow within the step, but stay below its radius.
     assert (base.solver.positions - expected).norm(dim=-1).max() < 2e-3
 
 
@@ -226,7 +252,13 @@ def test_grippers_stop_at_the_table(make_env):
 
 
 def test_task_card_has_the_headings_that_the_documentation_generator_expects():
-    headings = ["Task Description", "Randomizations", "Success Conditions", "Fail Conditions", "Goal Specification"]
+    headings = [
+        "Task Description",
+        "Randomizations",
+        "Success Conditions",
+        "Fail Conditions",
+        "Goal Specification",
+    ]
     places = [RopeShapingEnv.__doc__.index(f"**{heading}:**") for heading in headings]
     assert places == sorted(places)
     assert f"at most {RopeShapingEnv.MEAN_DISTANCE_LIMIT} m" in RopeShapingEnv.__doc__

@@ -10,7 +10,6 @@ import pytest
 import torch
 from mani_skill.trajectory import utils as trajectory_utils
 from mani_skill.utils import common
-from mani_skill.utils.wrappers.flatten import FlattenActionSpaceWrapper  # noqa: F401  (importable beside ours)
 from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
 from mani_skill.utils.wrappers.record import RecordEpisode
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
@@ -35,12 +34,14 @@ def test_vector_env_resets_at_the_time_limit_and_reports_metrics(make_env, draw_
     for action in draw_actions(5, 3):
         obs, reward, terminated, truncated, info = env.step(action)
         rewards.append(reward)
-    assert truncated.all() and not terminated.any()
+    assert truncated.all()
+    assert not terminated.any()
     assert info["_final_info"].all()
     episode = info["final_info"]["episode"]
     assert episode["episode_len"].tolist() == [5, 5, 5]
     torch.testing.assert_close(episode["return"], torch.stack(rewards).sum(dim=0))
-    assert not episode["success_once"].any() and not episode["fail_once"].any()
+    assert not episode["success_once"].any()
+    assert not episode["fail_once"].any()
     last = info["final_observation"]["graph"]["object"]["position"]
     new = obs["graph"]["object"]["position"]
     assert (last - new).norm(dim=-1).amax() > 0.05
@@ -61,7 +62,9 @@ def test_vector_env_resets_worlds_that_succeed_and_lets_the_others_go_on(make_en
 
 
 def test_vector_env_can_ignore_success(make_env):
-    env = ManiSkillVectorEnv(make_env(max_episode_steps=2), ignore_terminations=True, record_metrics=True)
+    env = ManiSkillVectorEnv(
+        make_env(max_episode_steps=2), ignore_terminations=True, record_metrics=True
+    )
     env.reset(seed=0)
     put_at_goal(env.unwrapped, [1])
     env.step(torch.zeros(3, 12))
@@ -96,8 +99,11 @@ def test_cpu_gym_wrapper_speaks_plain_gymnasium(make_env, obs_mode):
     assert env.action_space.shape == (12,)
     obs, reward, terminated, truncated, info = env.step(env.action_space.sample())
     assert env.observation_space.contains(obs)
-    assert isinstance(reward, float) and isinstance(terminated, bool) and isinstance(truncated, bool)
-    assert isinstance(info["success"], bool) and isinstance(info["mean_distance"], float)
+    assert isinstance(reward, float)
+    assert isinstance(terminated, bool)
+    assert isinstance(truncated, bool)
+    assert isinstance(info["success"], bool)
+    assert isinstance(info["mean_distance"], float)
     assert info["episode"]["episode_len"] == 1
     with pytest.raises(ValueError, match="must be finite"):
         env.step(np.full(12, np.nan, dtype=np.float32))
@@ -123,7 +129,9 @@ def test_gymnasium_vectorises_plain_environments():
 
 def record(env, folder, actions, seed):
     """Record one episode per world, with a video, and return the rewards (T, B)."""
-    env = RecordEpisode(env, folder, trajectory_name="trajectory", max_steps_per_video=len(actions), video_fps=20)
+    env = RecordEpisode(
+        env, folder, trajectory_name="trajectory", max_steps_per_video=len(actions), video_fps=20
+    )
     env.reset(seed=seed)
     rewards = torch.stack([env.step(action)[1] for action in actions])
     env.reset()
@@ -132,7 +140,9 @@ def record(env, folder, actions, seed):
 
 
 @pytest.mark.parametrize("num_envs", [1, 4])
-def test_episodes_are_recorded_and_their_actions_replay_exactly(make_env, draw_actions, tmp_path, num_envs):
+def test_episodes_are_recorded_and_their_actions_replay_exactly(
+    make_env, draw_actions, tmp_path, num_envs
+):
     actions, seeds = draw_actions(4, num_envs), list(range(20, 20 + num_envs))
     rewards = record(make_env(num_envs, render_mode="rgb_array"), tmp_path, actions, seeds)
     videos = sorted(tmp_path.glob("*.mp4"))
@@ -140,7 +150,8 @@ def test_episodes_are_recorded_and_their_actions_replay_exactly(make_env, draw_a
     columns = 2 if num_envs == 4 else 1
     assert len(videos) == 1
     assert frames.shape == (5, 512 * columns, 512 * columns, 3)
-    assert frames.std() > 5 and (frames[0] != frames[-1]).any()
+    assert frames.std() > 5
+    assert (frames[0] != frames[-1]).any()
 
     data = json.loads((tmp_path / "trajectory.json").read_text())
     assert data["env_info"]["env_id"] == "RopeShaping-v1"
@@ -171,7 +182,8 @@ def check_replay(env, trajectory, seed, rewards):
                     np.testing.assert_array_equal(value[0], states[step + 1][group][name])
     env.unwrapped.set_state_dict(states[2])
     np.testing.assert_array_equal(
-        env.unwrapped.get_obs()["graph"]["object"]["position"][0], trajectory["obs/graph/object/position"][2]
+        env.unwrapped.get_obs()["graph"]["object"]["position"][0],
+        trajectory["obs/graph/object/position"][2],
     )
 
 
@@ -186,13 +198,19 @@ def test_recording_survives_partial_resets(make_env, draw_actions, tmp_path):
     env.reset()
     env.close()
     data = json.loads((tmp_path / "trajectory.json").read_text())
-    steps = sorted((episode["elapsed_steps"], bool(episode["success"])) for episode in data["episodes"])
+    steps = sorted(
+        (episode["elapsed_steps"], bool(episode["success"])) for episode in data["episodes"]
+    )
     assert steps == [(2, False), (2, True), (4, False), (4, False)]
 
 
 def test_info_is_written_on_videos(make_env, draw_actions, tmp_path):
     env = RecordEpisode(
-        make_env(2, render_mode="rgb_array"), tmp_path, save_trajectory=False, info_on_video=True, max_steps_per_video=2
+        make_env(2, render_mode="rgb_array"),
+        tmp_path,
+        save_trajectory=False,
+        info_on_video=True,
+        max_steps_per_video=2,
     )
     env.reset(seed=0)
     for action in draw_actions(2, 2):

@@ -13,9 +13,9 @@ from maniskill_grpd.policies.layers.equivariant_update import vector_norms
 class DeepSetsValue(nn.Module):
     r"""V = MLP_out(mean_v MLP_in(h_v)) over the nodes of each type (eq. 8).
 
-    The mean, per node type, takes the place of the printed sum so that a value holds for any number of
-    nodes. h_v are the invariants of node v: scalar features and lengths of vector features. The last
-    linear map of MLP_in commutes with the mean and is therefore the first of MLP_out.
+    The mean, per node type, takes the place of the printed sum so that a value holds for any number
+    of nodes. h_v are the invariants of node v: scalar features and lengths of vector features. The
+    last linear map of MLP_in commutes with the mean and is therefore the first of MLP_out.
 
     Shapes: per node type scalars (B, n, C), vectors (3, B, n, D), mask (B, n) -> (B,).
     Symmetry: invariant under O(3) and under permutations of the nodes of a type.

@@ -27,21 +27,23 @@ class CompleteEdges:
     weights: torch.Tensor
     num_radial: int
 
-    def moments(self, features: torch.Tensor, max_degree: int) -> tuple[torch.Tensor, ...]:
+    def moments(
+        self, features: torch.Tensor, min_degree: int, max_degree: int
+    ) -> tuple[torch.Tensor, ...]:
         """Sum the features of the senders, weighted by the kernel factors, as one matrix product.
 
         Args:
             features: Sender features, (B, S, F).
-            max_degree: Harmonics up to this degree are used.
+            min_degree: Smallest degree of the harmonics used.
+            max_degree: Largest degree of the harmonics used.
 
         Returns:
-            (max_degree + 1)^2 tensors (B, R, Q * F), one per harmonic.
+            One tensor (B, R, Q * F) per harmonic of these degrees.
         """
         batch, _, width = features.shape
-        count = (max_degree + 1) ** 2
-        rows, senders = self.weights.shape[2:]
-        weights = self.weights[:, :count].reshape(batch, count * rows, senders)
-        moments = torch.bmm(weights, features)
+        weights = self.weights[:, min_degree**2 : (max_degree + 1) ** 2]
+        count, rows = weights.shape[1:3]
+        moments = torch.bmm(weights.flatten(1, 2), features)
         receivers = rows // self.num_radial
         return moments.view(batch, count, receivers, self.num_radial * width).unbind(1)
 
@@ -82,10 +84,10 @@ class EdgeGeometry(nn.Module):
 
         w[m, b] = phi_b(|p|) Y_m(p / sqrt(|p|^2 + s^2)) / (sum_senders phi_b + 0.05 n)
 
-    with p the position of the sender relative to the receiver, s a softening length and n the number
-    of senders. The softened direction is smooth where sender and receiver coincide, which is where a
-    gripper holds a node. The denominator makes each moment a local average, the same for a coarse and
-    a fine mesh.
+    with p the position of the sender relative to the receiver, s a softening length and n the
+    number of senders. The softened direction is smooth where sender and receiver coincide, which is
+    where a gripper holds a node. The denominator makes each moment a local average, the same for a
+    coarse and a fine mesh.
 
     Nothing here is learned; without gradients on positions no graph is recorded.
 

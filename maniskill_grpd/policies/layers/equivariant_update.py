@@ -28,9 +28,9 @@ class EquivariantUpdate(nn.Module):
         z  = W_h h + W_u |u| + m_s
         h' = LayerNorm(h + W_o silu(z)),   V' = V + sigmoid(W_g silu(z)) * u
 
-    The nonlinearity acts on invariants only; vectors are mixed linearly across channels and scaled by
-    an invariant gate. Vectors are not normalised: their lengths carry how far things are, and residual
-    depth is small.
+    The nonlinearity acts on invariants only; vectors are mixed linearly across channels and scaled
+    by an invariant gate. Vectors are not normalised: their lengths carry how far things are, and
+    residual depth is small.
 
     Shapes: h (..., C), V (3, ..., D), m_s (..., H), m_V (3, ..., D) -> (..., C), (3, ..., D).
     Symmetry: scalars invariant, vectors equivariant under O(3), if messages are.

@@ -18,8 +18,8 @@ _TINY = 1e-12
 class NodeEmbedding(nn.Module):
     r"""Lift input vectors and scalars (eq. 42, 43) to node features.
 
-    Offsets range from the size of the object to the centimetre at which success is decided. One linear
-    scale cannot show both, so every input vector v and gravity g appear as
+    Offsets range from the size of the object to the centimetre at which success is decided. One
+    linear scale cannot show both, so every input vector v and gravity g appear as
 
         vectors:  v,  v / sqrt(|v|^2 + e^2) for e in (0.1, 0.02),  g
         scalars:  |v|,  log(|v|^2 + 0.01^2),  |g|,  dot products of all pairs among {v, g} and among
@@ -63,7 +63,7 @@ class NodeEmbedding(nn.Module):
     def lift(
         self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Equivariant copies (L, 3, B, n) and invariants (I, B, n) of the inputs; nothing learned."""
+        """Equivariant copies (L, 3, B, n) and invariants (I, B, n) of inputs; nothing learned."""
         vectors = vectors.permute(2, 3, 0, 1).contiguous()  # (V, 3, B, n)
         gravity = gravity.t()[None, :, :, None].expand(1, *vectors.shape[1:])
         squared = vectors.square().sum(1)
@@ -84,8 +84,8 @@ class NodeEmbedding(nn.Module):
 class _ChannelFirstLinear(nn.Module):
     """Linear map of the first axis to the last, (I, ...) -> (..., O).
 
-    The weight is kept as (I, O): so oriented, its gradient is a product of few rows with many columns,
-    ten times as fast on a CPU as what `nn.Linear` does with a few channels.
+    The weight is kept as (I, O): so oriented, its gradient is a product of few rows with many
+    columns, ten times as fast on a CPU as what `nn.Linear` does with a few channels.
     """
 
     def __init__(self, in_dim: int, out_dim: int, bias: bool = True) -> None:

@@ -12,14 +12,14 @@ MAX_DEGREE = 2
 def solid_harmonics(
     x: torch.Tensor, y: torch.Tensor, z: torch.Tensor, max_degree: int
 ) -> list[torch.Tensor]:
-    r"""Regular real solid harmonics |u|^l Y_lm(u / |u|) of u = (x, y, z), the factors of eq. 19 and 30.
+    r"""Real solid harmonics |u|^l Y_lm(u / |u|) of u = (x, y, z), as in eq. 19 and 30.
 
-    Being polynomials they are smooth at u = 0, where the direction u / |u| is not defined. Normalised
-    such that sum_m Y_lm(u)^2 = 2 l + 1 on the unit sphere; order within degree 1: x, y, z; within
-    degree 2: xy, yz, 3z^2 - r^2, xz, x^2 - y^2.
+    Being polynomials they are smooth at u = 0, where the direction u / |u| is not defined.
+    Normalised such that sum_m Y_lm(u)^2 = 2 l + 1 on the unit sphere; order within degree 1: x, y,
+    z; within degree 2: xy, yz, 3z^2 - r^2, xz, x^2 - y^2.
 
-    Symmetry: for a rotation R the values of one degree l turn into D_l(R) times themselves, with D_l
-    orthogonal; D_0 = 1, D_1 = R.
+    Symmetry: for a rotation R the values of one degree l turn into D_l(R) times themselves, with
+    D_l orthogonal; D_0 = 1, D_1 = R.
 
     Args:
         x: First component, any shape.

@@ -15,11 +15,11 @@ _Moments = Sequence[Sequence[torch.Tensor]]
 
 
 class SteerableConv(nn.Module):
-    r"""Equivariant messages m_r = sum_s kappa(p_rs) h_s with kappa(p) = sum_lb a_lb phi_b(|p|) Y_l(p).
+    r"""Equivariant messages m_r = sum_s kappa(p_rs) h_s, kappa(p) = sum_lb a_lb phi_b(|p|) Y_l(p).
 
-    This is eq. 2 and 6 with the steerable kernel of eq. 29 and 30; eq. 20 and 31 as printed, a network
-    on the raw direction, would not be equivariant. The kernel is separable, so messages never exist
-    per edge and channel: first the moments
+    This is eq. 2 and 6 with the steerable kernel of eq. 29 and 30; eq. 20 and 31 as printed, a
+    network on the raw direction, would not be equivariant. The kernel is separable, so messages
+    never exist per edge and channel: first the moments
 
         M[r, b, m, :] = sum_s phi_b(|p_rs|) Y_m(p_rs) h_s
 
@@ -28,8 +28,8 @@ class SteerableConv(nn.Module):
         scalars <- M0 s,  M1 . v
         vectors <- M1 s,  M0 v,  M1 x v,  M2 v   (the last with max_degree 2)
 
-    Complete edges form all moments as a matrix product per graph. Neighbour lists are short, so there
-    only those products that survive the contraction are formed, elementwise.
+    Complete edges form all moments as a matrix product per graph. Neighbour lists are short, so
+    there only those products that survive the contraction are formed, elementwise.
 
     Shapes:
         scalars (B, S, C), vectors (3, B, S, D) -> scalars (B, R, C_out), vectors (3, B, R, D_out)
@@ -87,9 +87,9 @@ class SteerableConv(nn.Module):
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
         """Invariant and, as triples of components, equivariant contractions, each (B, R, Q * F)."""
-        still = edges.moments(scalars, 0)[0]
-        directed = edges.moments(self.mix(scalars), 1)[1:]
-        moments = [edges.moments(component, self.max_degree) for component in vectors.unbind(0)]
+        still = edges.moments(scalars, 0, 0)[0]
+        directed = edges.moments(self.mix(scalars), 1, 1)
+        moments = [edges.moments(component, 0, self.max_degree) for component in vectors.unbind(0)]
         paths = [directed, [component[0] for component in moments], _cross(moments)]
         if self.max_degree == 2:
             paths.append(_quadrupole(moments))

@@ -1,0 +1,6 @@
+"""Make the graph factory of the policy tests importable."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent / "policies"))

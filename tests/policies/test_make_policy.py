@@ -1,0 +1,178 @@
+"""Building policies by name, and what every policy offers."""
+
+import json
+
+import pytest
+import torch
+from random_graphs import SCHEMA, make_graph
+
+from maniskill_grpd.graphs import GraphSchema
+from maniskill_grpd.policies import POLICIES, Policy, make_policy, policy_from_config
+
+NAMES = sorted(POLICIES)
+
+
+def test_unknown_name_lists_the_known():
+    with pytest.raises(ValueError, match="'grpd'"):
+        make_policy("gprd", SCHEMA)
+
+
+def test_unknown_option_lists_the_known_with_types_and_defaults():
+    with pytest.raises(ValueError, match=r"unknown option 'hidden'(.|\n)*scalar_dim: int = 32"):
+        make_policy("grpd", SCHEMA, hidden=3)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("scalar_dim", 2.5, "must be int"),
+        ("num_layers", True, "must be int"),
+        ("state_dependent_std", 1, "must be bool"),
+        ("magnitude", "exp", "'softplus', 'relu'"),
+        ("init_std", "0.5", "must be float"),
+        ("scalar_dim", 0, "at least 1"),
+        ("num_layers", -1, "negative"),
+        ("max_degree", 3, "1 or 2"),
+        ("init_std", 5.0, "inside"),
+    ],
+)
+def test_bad_option_values_are_refused(option, value, message):
+    with pytest.raises(ValueError, match=message):
+        make_policy("grpd", SCHEMA, **{option: value})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_config_rebuilds_the_policy(name):
+    """Through JSON, then the state dict, normaliser included: the same actions."""
+    policy = make_policy(name, SCHEMA, init_std=0.25)
+    graph = make_graph()
+    policy.normalizer.update(graph)
+    rebuilt = policy_from_config(json.loads(json.dumps(policy.config)))
+    rebuilt.load_state_dict(policy.state_dict())
+    assert rebuilt.config == policy.config
+    assert isinstance(rebuilt.schema, GraphSchema)
+    assert torch.equal(
+        rebuilt.act(graph, deterministic=True), policy.act(graph, deterministic=True)
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("nodes", "actuators"), [(1, 1), (7, 2), (60, 6)])
+def test_any_number_of_nodes_and_actuators(name, nodes, actuators):
+    policy = make_policy(name, SCHEMA)
+    graph = make_graph(3, nodes, actuators)
+    distribution, value = policy(graph)
+    assert isinstance(policy, Policy)
+    assert distribution.mean.shape == (3, actuators, 3)
+    assert distribution.std.shape == (3, actuators, 1)
+    assert distribution.mask.shape == (3, actuators)
+    assert value.shape == (3,)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_methods_agree_with_the_shared_pass(name):
+    policy = make_policy(name, SCHEMA)
+    graph = make_graph()
+    distribution, value = policy(graph)
+    assert torch.equal(policy.distribution(graph).mean, distribution.mean)
+    assert torch.equal(policy.value(graph), value)
+    assert torch.equal(policy.act(graph, deterministic=True), distribution.mode)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_act_samples_float32_from_the_generator(name):
+    policy = make_policy(name, SCHEMA).double()
+    graph = make_graph(dtype=torch.float64)
+    first, second = (
+        policy.act(graph, generator=torch.Generator().manual_seed(1)) for _ in range(2)
+    )
+    assert first.shape == (4, 9)
+    assert first.dtype == torch.float32
+    assert not first.requires_grad
+    assert torch.equal(first, second)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"num_layers": 2, "max_degree": 2, "num_local_radial": 2},
+        {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"},
+    ],
+    ids=str,
+)
+def test_gradient_reaches_all_parameters(options):
+    policy = make_policy("grpd", SCHEMA, **options)
+    graph = make_graph(16)
+    distribution, value = policy(graph)
+    loss = distribution.log_prob(torch.randn(16, 9)).sum() + value.square().sum()
+    loss.backward()
+    silent = [
+        name
+        for name, parameter in policy.named_parameters()
+        if parameter.grad is None or not parameter.grad.abs().sum() > 0
+    ]
+    assert not silent
+
+
+@pytest.mark.parametrize("state_dependent", [True, False])
+def test_untrained_policy_moves_gently_and_explores_as_told(state_dependent):
+    policy = make_policy("grpd", SCHEMA, init_std=0.3, state_dependent_std=state_dependent)
+    graph = make_graph(64)
+    policy.normalizer.update(graph)
+    distribution = policy.distribution(graph)
+    magnitude = distribution.mean.detach().norm(dim=-1)
+    assert 0.05 < float(magnitude.mean()) < 0.2
+    torch.testing.assert_close(
+        distribution.std, torch.full_like(distribution.std, 0.3), rtol=0.05, atol=0
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_traces_as_one_graph(name):
+    """No control flow depends on data, so that torch.compile can fuse the whole pass."""
+    policy = make_policy(name, SCHEMA)
+    graph = make_graph()
+    compiled = torch.compile(lambda g: policy(g)[1], fullgraph=True, backend="eager")
+    torch.testing.assert_close(compiled(graph), policy.value(graph))
+
+
+def test_wrong_graph_is_refused_by_name():
+    policy = make_policy("grpd", SCHEMA)
+    graph = make_graph()
+    graph["object"]["scalars"] = graph["object"]["scalars"][..., :2]
+    with pytest.raises(
+        ValueError, match=r"object.scalars must have shape \(4, 12, 4\), got \(4, 12, 2\)"
+    ):
+        policy.value(graph)
+
+
+def test_learns_to_point_at_the_goal_to_a_centimetre():
+    """Regression on the clipped offset to the goal, over offsets from 1 cm to 1 m.
+
+    The error is relative to the length of the target plus a tenth of the largest step, so that
+    being right far away does not pay for being wrong near the goal.
+    """
+    torch.manual_seed(0)
+    policy = make_policy("grpd", SCHEMA)
+    optimizer = torch.optim.Adam(policy.parameters(), 5e-3)
+
+    def batch(seed):
+        graph = make_graph(64, 6, 2, seed=seed)
+        size = 0.01 ** torch.rand(64, 1, 1, generator=torch.Generator().manual_seed(seed))
+        offset = graph["actuator"]["vectors"][:, :, 1]
+        offset.mul_(size / offset.norm(dim=-1, keepdim=True))
+        return graph, offset / offset.norm(dim=-1, keepdim=True).clamp(min=0.03)
+
+    def error(seed):
+        graph, target = batch(seed)
+        scale = target.norm(dim=-1) + 0.1
+        return ((policy.distribution(graph).mean - target).norm(dim=-1) / scale).mean()
+
+    policy.normalizer.update(batch(0)[0])
+    for step in range(150):
+        optimizer.zero_grad()
+        error(step).backward()
+        optimizer.step()
+    with torch.no_grad():
+        assert error(10_000) < 0.15
