@@ -8,6 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from scene_motion import move_everything
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.tasks import RopeShapingEnv, goal_curve
@@ -144,26 +145,6 @@ def test_reward_is_the_formula_of_its_constants(make_env, draw_actions):
     weights = [base.FAR_WEIGHT, base.NEAR_WEIGHT, base.SUCCESS_WEIGHT]
     assert sum(weights) == pytest.approx(1.0)
     torch.testing.assert_close(base.compute_dense_reward(None, None, info), reward)
-
-
-def move_everything(base, rotation, translation):
-    """Rotate and translate rope, grippers, goals, table and gravity of all worlds."""
-    solver = base.solver
-    for points in (
-        solver.positions,
-        solver.gripper_positions,
-        solver.gripper_targets,
-        base.goal_positions,
-    ):
-        points.copy_(points @ rotation.T + translation)
-    for vectors in (solver.velocities, solver.hold_offsets, solver.gravity):
-        vectors.copy_(vectors @ rotation.T)
-    normal = solver.plane[:, :3] @ rotation.T
-    solver.plane.copy_(
-        torch.cat([normal, solver.plane[:, 3:] + normal @ translation[:, None]], dim=1)
-    )
-    velocities = base.agent.robot.qvel.unflatten(1, (-1, 3))
-    base.agent.robot.qvel.copy_((velocities @ rotation.T).flatten(1))
 
 
 @pytest.fixture
