@@ -98,8 +98,9 @@ class SteerableConv(nn.Module):
     def _neighbors(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: NeighborEdges
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
-        """As `_complete`; each entry is (B, N, F), one set per radial function."""
-        shape = (*scalars.shape[:2], -1)
+        """As `_complete`; each entry is (B, R, F), one set per radial function."""
+        batch = scalars.shape[0]
+        shape = (batch, edges.index.shape[1] // batch, -1)
         still = edges.gather(scalars.unsqueeze(0))
         directed = edges.gather(self.mix(scalars).unsqueeze(0))
         moved = edges.gather(vectors)
