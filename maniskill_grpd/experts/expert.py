@@ -31,4 +31,4 @@ class Expert(abc.ABC):
 
     @abc.abstractmethod
     def act(self) -> torch.Tensor:
-        """Return the action for the present state, (B, A * 3); each gripper's part has norm <= 1."""
+        """Return the action for the present state, (B, A * 3), each gripper's part of norm <= 1."""

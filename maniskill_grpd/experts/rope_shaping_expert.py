@@ -8,14 +8,14 @@ from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.tasks import RopeShapingEnv
 
-DRAG_DISTANCE = 0.2
+DRAG_DISTANCE = 0.25
 """How far before its goal the rope is lowered and dragged from [m]."""
 LIFT_HEIGHT = 0.1
 """Height above the goal from which it is lowered [m]."""
-ENTRY_RADIUS = 0.02
-"""Grippers this near the start of the drag are taken to have arrived [m]."""
-FUNNEL_SLOPE = 0.15
-"""How much wider the path becomes per metre of drag: a gripper that is pushed aside goes on."""
+LOOK_AHEAD = 0.04
+"""How far along the path ahead of the grippers their targets are [m]."""
+PATH_RADIUS = (0.02, 0.06)
+"""Distances from the path below which all grippers follow it, and above which none does [m]."""
 SMALLEST_BULGE = 0.01
 """Spans that bulge less than this on average [m] have no side to which they must trail."""
 
@@ -28,12 +28,19 @@ class RopeShapingExpert(Expert):
     v, m_i the mean goal of the nodes of span i and c_i the middle of its ends,
 
         up = sum_i L_i (m_i - c_i) / |sum_i L_i (m_i - c_i)|      (L_i: length of span i)
-        w  = 0.2 m up + 0.1 m z
+        w  = 0.25 m up + 0.1 m z
 
-    Far from the goal every gripper moves straight to q_v + w. Once all grippers are on the path,
-    the segment from q_v + w to q_v, each moves straight to q_v. "On the path" is a funnel around
-    the segment, 2 cm wide at its start; being on it or not is a fact of the positions, so that the
-    expert has no memory. The last step of each motion is as long as what is left.
+    The path of gripper v is the segment from q_v + w to q_v. With x_v its position relative to q_v,
+    t the mean progress of all grippers along their paths and r the largest distance of any from its
+    own, its target is
+
+        q_v + w (h(r) + (1 - h(r)) max(t - 0.04 m, 0) / |w|)
+        t_v = clamp(x_v . w / |w|, 0, |w|),   t = mean_v t_v,   r = max_v |x_v - t_v w / |w||
+
+    where h rises smoothly from 0 at 2 cm to 1 at 6 cm: from afar grippers go to the start of their
+    paths, on them they go to the goal, all at the same time. There are no phases: the action is a
+    continuous function of the state, which a policy can imitate, and disturbed grippers come back.
+    It is full speed towards the target, or what is left of the way.
 
     Goals whose spans bulge to opposite sides (S with any number of grippers) have no such
     direction; the drag then comes along the goal's chord from the first to the last node, which
@@ -48,12 +55,8 @@ class RopeShapingExpert(Expert):
         """See `Expert.act`."""
         solver = self.env.solver
         goals = self.env.goal_positions
-        held = goals[:, self.env._gripper_nodes]
-        start = self._drag_start(goals)[:, None]
-        offsets = solver.gripper_positions - held
-        is_laying = _is_on_path(offsets, start).all(dim=1)
-        targets = torch.where(is_laying[:, None, None], held, held + start)
-        motion = (targets - solver.gripper_positions) / STEP_SIZE
+        offsets = solver.gripper_positions - goals[:, self.env._gripper_nodes]
+        motion = (_target_offsets(offsets, self._drag_start(goals)) - offsets) / STEP_SIZE
         length = torch.linalg.vector_norm(motion, dim=-1, keepdim=True)
         return (motion / length.clamp(min=1.0)).flatten(1)
 
@@ -86,19 +89,22 @@ def _trailing_direction(goals: torch.Tensor, held: list[int]) -> torch.Tensor:
     return torch.nn.functional.normalize(direction, dim=-1)
 
 
-def _is_on_path(offsets: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
-    """Whether grippers are inside the funnel around the segment from `start` to zero.
+def _target_offsets(offsets: torch.Tensor, start: torch.Tensor) -> torch.Tensor:
+    """Where the grippers are to go, relative to their goals.
 
     Args:
         offsets: Positions relative to the goals, (B, A, 3) [m].
-        start: Start of the segments, (B, 1, 3) [m].
+        start: Start of the path relative to the goals, w in the class docstring, (B, 3) [m].
 
     Returns:
-        (B, A) bool.
+        (B, 1, 3) [m], the same for all grippers.
     """
-    length = torch.linalg.vector_norm(start, dim=-1)
-    axis = start / length[..., None]
-    along = (offsets * axis).sum(-1)
-    aside = torch.linalg.vector_norm(offsets - along[..., None] * axis, dim=-1)
-    radius = ENTRY_RADIUS + FUNNEL_SLOPE * (length - along).clamp(min=0.0)
-    return (aside <= radius) & (along <= length + ENTRY_RADIUS)
+    length = torch.linalg.vector_norm(start, dim=-1, keepdim=True)
+    axis = start / length
+    along = torch.minimum((offsets @ axis[..., None])[..., 0].clamp(min=0.0), length)
+    aside = torch.linalg.vector_norm(offsets - along[..., None] * axis[:, None], dim=-1)
+    near, far = PATH_RADIUS
+    share = ((aside.amax(dim=1, keepdim=True) - near) / (far - near)).clamp(0.0, 1.0)
+    share = share.square() * (3.0 - 2.0 * share)
+    ahead = (along.mean(dim=1, keepdim=True) - LOOK_AHEAD).clamp(min=0.0)
+    return ((share * length + (1.0 - share) * ahead) * axis)[:, None]
