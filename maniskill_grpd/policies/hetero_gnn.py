@@ -44,8 +44,9 @@ class HeteroGNNOptions(HeadOptions):
 class HeteroGNN(EncodedPolicy):
     """Graph network on heterogeneous graphs, without symmetry under rotations.
 
-    Node types, edge types and message paths are those of GRPD (eq. 36-41). Messages are MLPs of both ends and of the raw relative position (eq. 24, 25), one per edge type;
-    nodes know their raw coordinates.
+    Node types, edge types and message paths are those of GRPD (eq. 36-41). Messages are MLPs of
+    both ends and of the raw relative position (eq. 24, 25), one per edge type; nodes know their raw
+    coordinates.
 
     Args:
         schema: What the graphs hold.
