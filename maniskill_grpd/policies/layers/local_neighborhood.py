@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import torch
 
 _TINY = 1e-12
-"""Smallest squared reach [m^2], where all nodes coincide."""
+"""Smallest squared distance that is divided by [m^2]."""
+_FAR = 1e24
+"""Squared distance that stands for "nowhere" [m^2]; unlike infinity it can be divided by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +60,7 @@ class LocalNeighborhood:
         points, tools = position[:, None, :count], position[:, count:, None]
         squared = (points - tools).square().sum(-1)  # (B, A, N)
         nearest, reach = _nearest(squared, mask[:, None, :count], num_nearest)
-        near = (1.0 - squared / reach).clamp(min=0.0).square()
+        near = _envelope(squared, reach)
         num_tools = tools.shape[1]
         others = count + torch.arange(num_tools, device=position.device).repeat(num_tools, 1)
         others = others.masked_fill(torch.eye(num_tools, device=others.device) > 0, -1)
@@ -79,18 +81,23 @@ def _nearest(
     squared: torch.Tensor, mask: torch.Tensor, num: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The num nearest nodes of each actuator, (B, A, num), and its squared reach, (B, A, 1)."""
-    visible = squared.masked_fill(~mask, torch.inf)
+    visible = squared.masked_fill(~mask, _FAR)
     if squared.shape[-1] <= num:
         everything = torch.arange(squared.shape[-1], device=squared.device)
-        reach = torch.full_like(squared[..., :1], torch.inf)
+        reach = torch.full_like(squared[..., :1], _FAR)
         return everything.expand(squared.shape), reach
     distances, index = visible.topk(num + 1, dim=-1, largest=False)
-    return index[..., :num], distances[..., num:].clamp(min=_TINY)
+    return index[..., :num], distances[..., num:]
 
 
 def _leader(squared: torch.Tensor, mask: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Nearest actuator of each node and by how much it leads over the next, both (B, 1, N)."""
-    visible = squared.masked_fill(~mask, torch.inf)
+    visible = squared.masked_fill(~mask, _FAR)
     best = visible.argmin(dim=1, keepdim=True)
-    second = visible.scatter(1, best, torch.inf).amin(dim=1, keepdim=True).clamp(min=_TINY)
-    return best, (1.0 - squared.gather(1, best) / second).clamp(min=0.0).square()
+    second = visible.scatter(1, best, _FAR).amin(dim=1, keepdim=True)
+    return best, _envelope(squared.gather(1, best), second)
+
+
+def _envelope(squared: torch.Tensor, end: torch.Tensor) -> torch.Tensor:
+    """(1 - squared / end)_+^2, zero where both are."""
+    return ((end - squared) / end.clamp(min=_TINY)).clamp(min=0.0).square()
