@@ -12,9 +12,9 @@ DRAG_DISTANCE = 0.25
 """How far before its goal the rope is lowered and dragged from [m]."""
 LIFT_HEIGHT = 0.1
 """Height above the goal from which it is lowered [m]."""
-LOOK_AHEAD = 0.04
+LOOK_AHEAD = 0.06
 """How far along the path ahead of the grippers their targets are [m]."""
-PATH_RADIUS = (0.02, 0.06)
+PATH_RADIUS = (0.03, 0.09)
 """Distances from the path below which all grippers follow it, and above which none does [m]."""
 SMALLEST_BULGE = 0.01
 """Spans that bulge less than this on average [m] have no side to which they must trail."""
@@ -34,10 +34,10 @@ class RopeShapingExpert(Expert):
     t the mean progress of all grippers along their paths and r the largest distance of any from its
     own, its target is
 
-        q_v + w (h(r) + (1 - h(r)) max(t - 0.04 m, 0) / |w|)
+        q_v + w (h(r) + (1 - h(r)) max(t - 0.06 m, 0) / |w|)
         t_v = clamp(x_v . w / |w|, 0, |w|),   t = mean_v t_v,   r = max_v |x_v - t_v w / |w||
 
-    where h rises smoothly from 0 at 2 cm to 1 at 6 cm: from afar grippers go to the start of their
+    where h rises smoothly from 0 at 3 cm to 1 at 9 cm: from afar grippers go to the start of their
     paths, on them they go to the goal, all at the same time. There are no phases: the action is a
     continuous function of the state, which a policy can imitate, and disturbed grippers come back.
     It is full speed towards the target, or what is left of the way.
