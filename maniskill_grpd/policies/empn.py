@@ -25,6 +25,7 @@ from maniskill_grpd.policies.layers import (
     NodeEmbedding,
     SteerableConv,
 )
+from maniskill_grpd.policies.options import late_option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +40,21 @@ class EMPNOptions(HeadOptions):
     """Rounds of message passing; they limit how far an actuator sees (eq. 46)."""
     num_radial: int = 2
     """Radial functions of the edges."""
+    max_degree: int = late_option(1)
+    """Largest degree of the harmonics, 1 or 2."""
+    normalize_vectors: bool = late_option(False)
+    """Whether vector features are normalised after each round; for many rounds."""
     num_nearest: int = 8
     """Object nodes that each actuator is connected with."""
     decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
     magnitude: Literal["softplus", "relu"] = "softplus"
     """Activation of the action's length; relu is eq. 52 as printed. Unused by the naive decoder."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.max_degree not in (1, 2):
+            raise ValueError(f"max_degree must be 1 or 2, got {self.max_degree}")
 
     @property
     def object_dims(self) -> tuple[int, int]:
@@ -99,10 +109,13 @@ class EMPNEncoder(nn.Module):
         # Edges range from the spacing of the mesh to the distance between actuators: distances are
         # resolved at the scale of the object, directions at that of the mesh.
         self.geometry = EdgeGeometry(
-            options.num_radial, 1, 0.5 * schema.length_scale, 0.5 * schema.edge_length
+            options.num_radial,
+            options.max_degree,
+            0.5 * schema.length_scale,
+            0.5 * schema.edge_length,
         )
         self.rounds = nn.ModuleList(
-            _HomogeneousRound(dims, options.num_radial) for _ in range(options.num_layers)
+            _HomogeneousRound(dims, options) for _ in range(options.num_layers)
         )
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
@@ -153,10 +166,14 @@ class EMPNEncoder(nn.Module):
 class _HomogeneousRound(nn.Module):
     """One convolution and one update, the same for all edges and all nodes (eq. 32)."""
 
-    def __init__(self, dims: tuple[int, int], num_radial: int) -> None:
+    def __init__(self, dims: tuple[int, int], options: EMPNOptions) -> None:
         super().__init__()
-        self.conv = SteerableConv(*dims, num_radial=num_radial)
-        self.update = EquivariantUpdate(*dims, message_dim=dims[0])
+        self.conv = SteerableConv(
+            *dims, num_radial=options.num_radial, max_degree=options.max_degree
+        )
+        self.update = EquivariantUpdate(
+            *dims, message_dim=dims[0], normalize_vectors=options.normalize_vectors
+        )
 
     def forward(self, features: Features, edges: tuple[NeighborEdges, NeighborEdges]) -> Features:
         scalars, vectors = zip(*(self.conv(*features, part) for part in edges), strict=True)

@@ -46,6 +46,10 @@ class GRPDOptions(HeadOptions):
     """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
     max_degree: int = 1
     """Largest degree of the harmonics from objects to actuators, 1 or 2."""
+    max_local_degree: int = late_option(1)
+    """Largest degree of the harmonics along mesh edges, 1 or 2."""
+    normalize_vectors: bool = late_option(False)
+    """Whether vector features are normalised after each round; for many rounds."""
     decoder: Literal["direction_magnitude", "naive"] = late_option("direction_magnitude")
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
     magnitude: Literal["softplus", "relu"] = "softplus"
@@ -53,8 +57,9 @@ class GRPDOptions(HeadOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.max_degree not in (1, 2):
-            raise ValueError(f"max_degree must be 1 or 2, got {self.max_degree}")
+        for name in ("max_degree", "max_local_degree"):
+            if getattr(self, name) not in (1, 2):
+                raise ValueError(f"{name} must be 1 or 2, got {getattr(self, name)}")
 
     @property
     def object_dims(self) -> tuple[int, int]:
@@ -113,17 +118,18 @@ class GRPDEncoder(nn.Module):
             schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims
         )
         edge, size = schema.edge_length, schema.length_scale
-        self.local_geometry = EdgeGeometry(options.num_local_radial, 1, edge, 0.5 * edge)
-        self.actuator_geometry = EdgeGeometry(options.num_actuator_radial, 1, size, 0.05 * size)
-        self.global_geometry = EdgeGeometry(
-            options.num_radial, options.max_degree, size, 0.05 * size
-        )
+        local = options.num_local_radial, options.max_local_degree
+        between = options.num_actuator_radial, 1
+        across = options.num_radial, options.max_degree
+        self.local_geometry = EdgeGeometry(*local, edge, 0.5 * edge)
+        self.actuator_geometry = EdgeGeometry(*between, size, 0.05 * size)
+        self.global_geometry = EdgeGeometry(*across, size, 0.05 * size)
+        normalize = options.normalize_vectors
         self.object_rounds = nn.ModuleList(
-            _MessageRound(dims, dims, options.num_local_radial, 1)
-            for _ in range(options.num_layers)
+            _MessageRound(dims, dims, *local, normalize) for _ in range(options.num_layers)
         )
-        self.actuator_round = _MessageRound(tool_dims, tool_dims, options.num_actuator_radial, 1)
-        self.global_round = _MessageRound(dims, tool_dims, options.num_radial, options.max_degree)
+        self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, normalize)
+        self.global_round = _MessageRound(dims, tool_dims, *across, normalize)
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
         """Encode a graph.
@@ -160,6 +166,7 @@ class _MessageRound(nn.Module):
         receiver_dims: tuple[int, int],
         num_radial: int,
         max_degree: int,
+        normalize_vectors: bool,
     ) -> None:
         super().__init__()
         self.conv = SteerableConv(
@@ -169,7 +176,9 @@ class _MessageRound(nn.Module):
             out_scalar_dim=receiver_dims[0],
             out_vector_dim=receiver_dims[1],
         )
-        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0])
+        self.update = EquivariantUpdate(
+            *receiver_dims, message_dim=receiver_dims[0], normalize_vectors=normalize_vectors
+        )
 
     def forward(self, senders: Features, receivers: Features, edges: Any) -> Features:
         return self.update(*receivers, *self.conv(*senders, edges))

@@ -34,8 +34,12 @@ VARIANTS = {
     "separate_value": ("grpd", {"value_encoder": "separate", "state_dependent_std": False}),
     "naive": ("grpd", {"decoder": "naive"}),
     "independent": ("grpd", {"decoders": "independent", "num_decoders": 5, "gripper": True}),
+    "local_degree_2": ("grpd", {"max_local_degree": 2, "normalize_vectors": True}),
     "empn": ("empn", {"gripper": True}),
-    "empn_naive": ("empn", {"decoder": "naive", "num_nearest": 2, "num_layers": 2}),
+    "empn_naive": (
+        "empn",
+        {"decoder": "naive", "num_nearest": 2, "max_degree": 2, "num_layers": 2},
+    ),
 }
 
 

@@ -33,6 +33,11 @@ def test_unknown_option_lists_the_known_with_types_and_defaults():
         ("scalar_dim", 0, "at least 1"),
         ("num_layers", -1, "negative"),
         ("max_degree", 3, "1 or 2"),
+        ("max_local_degree", 0, "1 or 2"),
+        ("decoder", "mlp", "'direction_magnitude', 'naive'"),
+        ("decoders", "both", "'shared', 'independent'"),
+        ("num_decoders", 0, "at least 1"),
+        ("gripper", 1, "must be bool"),
         ("init_std", 5.0, "inside"),
     ],
 )
@@ -102,7 +107,8 @@ def test_act_samples_float32_from_the_generator(name):
             "grpd",
             {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"},
         ),
-        ("grpd", {"decoder": "naive"}),
+        ("grpd", {"decoder": "naive", "max_local_degree": 2, "normalize_vectors": True}),
+        ("empn", {"max_degree": 2, "normalize_vectors": True}),
     ],
     ids=str,
 )
@@ -141,6 +147,21 @@ def test_traces_as_one_graph(name):
     graph = make_graph()
     compiled = torch.compile(lambda g: policy(g)[1], fullgraph=True, backend="eager")
     torch.testing.assert_close(compiled(graph), policy.value(graph))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_tensors_follow_the_device_of_the_graph(name):
+    """On the meta device, which refuses any tensor made on the CPU, forward and backward."""
+
+    def to_meta(graph):
+        return {k: to_meta(v) if isinstance(v, dict) else v.to("meta") for k, v in graph.items()}
+
+    policy = make_policy(name, SCHEMA, gripper=True).to("meta")
+    distribution, value = policy(to_meta(make_graph(nodes=20)))
+    action = distribution.sample()
+    loss = distribution.log_prob(action) + value + distribution.joint_kl_divergence(distribution)
+    (loss + distribution.entropy()).sum().backward()
+    assert action.device.type == distribution.mode.device.type == "meta"
 
 
 def num_parameters(policy):
@@ -189,7 +210,7 @@ def test_independent_decoders_refuse_more_actuators_than_they_are(name):
 def test_options_that_came_later_do_not_change_old_configs():
     """A config names them only where they differ, so that old checkpoints still fit."""
     old = {"scalar_dim", "vector_dim", "magnitude", "init_std", "value_encoder", "max_degree"}
-    late = {"decoder", "decoders", "num_decoders", "gripper"}
+    late = {"decoder", "decoders", "num_decoders", "gripper", "max_local_degree"}
     options = make_policy("grpd", SCHEMA).config["options"]
     assert old <= set(options)
     assert not late & set(options)

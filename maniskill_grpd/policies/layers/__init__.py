@@ -24,6 +24,7 @@ from maniskill_grpd.policies.layers.raw_decoder import RawDecoder
 from maniskill_grpd.policies.layers.raw_embedding import RawEmbedding
 from maniskill_grpd.policies.layers.solid_harmonics import solid_harmonics
 from maniskill_grpd.policies.layers.steerable_conv import SteerableConv
+from maniskill_grpd.policies.layers.vector_norm import VectorNorm
 
 __all__ = [
     "AttentionBlock",
@@ -46,6 +47,7 @@ __all__ = [
     "RawDecoder",
     "RawEmbedding",
     "SteerableConv",
+    "VectorNorm",
     "solid_harmonics",
     "vector_norms",
 ]
