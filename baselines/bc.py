@@ -335,6 +335,8 @@ def to_markdown(
     )
     return PAGE.format(
         command="python baselines/bc.py " + " ".join(sys.argv[1:]),
+        demonstrated=_describe_source(config, demonstrations),
+        task=" ".join(config.env_kwargs),
         num_observations=len(demonstrations.episode),
         table="\n".join(lines),
         **config.to_dict(),
@@ -345,10 +347,8 @@ PAGE = """# Behaviour cloning
 
 Written by `{command}`.
 
-Every policy learned from the same {num_episodes} episodes of the expert of {env_id} ({env_kwargs}):
-{num_observations:,} observations, the first {num_steps} steps of each, with start and goal from the {train_pose_range} pose range
-(a quarter: both within 45 degrees and 3.75 cm of the middle). Noise of {action_noise} of the largest action was added to
-executed, not to recorded actions. Training: {epochs} epochs of Adam, {batch_size} observations per step, learning rate
+Every policy learned from the same {demonstrated} of {env_id} ({task}),
+{num_observations:,} observations. Training: {epochs} epochs of Adam, {batch_size} observations per step, learning rate
 {learning_rate} falling to zero along a cosine, loss {loss}, seed {seed}, one seed only.
 
 {table}
@@ -361,6 +361,17 @@ executed, not to recorded actions. Training: {epochs} epochs of Adam, {batch_siz
   larger ways and angles between start and goal than were demonstrated.
 - *CPU s*: processor time of one thread, validation included.
 """
+
+
+def _describe_source(config: BCConfig, demonstrations: Demonstrations) -> str:
+    if config.demonstrations is not None:
+        return f"{demonstrations.num_episodes} episodes in {config.demonstrations.name}"
+    return (
+        f"{demonstrations.num_episodes} episodes of the expert (the first {config.num_steps} steps of "
+        f"each; start and goal from the {config.train_pose_range} pose range, a quarter being within 45 "
+        f"degrees and 3.75 cm of the middle; noise of {config.action_noise} of the largest action on "
+        "executed, not on recorded actions)"
+    )
 
 
 def _rollout_cells(rollouts: dict[str, dict[str, float]], ranges: list[str]) -> list[str]:

@@ -36,7 +36,7 @@ from maniskill_grpd.policies.layers import CompleteEdges, NeighborEdges, Steerab
 
 BATCH = 8
 """Graphs per call."""
-NUM_NODES = (20, 50, 100, 200, 400, 700, 1000, 1200)
+NUM_NODES = (20, 50, 100, 200, 500, 1000, 1200)
 MAX_ACTUATORS = 4
 LARGE = 1000
 """Number of nodes at which the number of actuators is varied."""
@@ -368,7 +368,7 @@ def measure_size(
 
 def measure(*, device: torch.device, quick: bool) -> list[dict[str, Any]]:
     """Return the rows of all sizes: nodes with all actuators, then actuators at LARGE nodes."""
-    settings = {"budget": 0.05 if quick else 0.2, "repeats": 2 if quick else 7, "device": device}
+    settings = {"budget": 0.05 if quick else 0.1, "repeats": 2 if quick else 5, "device": device}
     nodes = (20, 100, 400, LARGE) if quick else NUM_NODES
     sizes = [(count, MAX_ACTUATORS) for count in nodes]
     sizes += [(LARGE, tools) for tools in ((1,) if quick else range(1, MAX_ACTUATORS))]
