@@ -28,7 +28,7 @@ Features = tuple[torch.Tensor, torch.Tensor]
 
 
 @dataclass(frozen=True, kw_only=True)
-class HeadOptions:
+class HeadOptions(abc.ABC):
     """Options of all policies."""
 
     init_std: float = 0.5
