@@ -45,10 +45,11 @@ class RopeShapingExpert(Expert):
     Goals whose spans bulge to opposite sides have no such direction; the drag then comes along the
     goal's chord from the first to the last node.
 
-    Limitations: one drag in one direction lays only goals whose spans all bulge to one side. Share
-    of episodes that end in success, 64 seeds each: with 4 grippers W 100 %, V 92 %, U 98 %, L 97 %,
-    O 100 %, S and spiral 0 % (mean distance 4 cm); with 3 grippers W 98 %, V 100 %, U 94 %,
-    L 100 %, S, O and spiral 0 %; with 2 grippers L 12 %, others below 5 % (W: mean distance 7 cm).
+    Limitations: one drag in one direction lays goals whose spans are short and bulge to one side.
+    Share of episodes that end in success, 64 seeds each: with 4 grippers W 100 %, V 92 %, U 98 %,
+    L 97 %, O 100 %, S and spiral 0 % (mean distance 4 cm); with 3 grippers W 98 %, V 100 %,
+    U 94 %, L 100 %, S, O and spiral 0 %; with 2 grippers L 12 %, others below 5 % (W: mean distance
+    7 cm).
 
     Symmetry: equivariant under translations of the plane and rotations about its normal.
     """
