@@ -16,6 +16,7 @@ ALLOWED = {
     "learning": {"learning", "graphs", "policies"},
     "agents": {"agents", "physics"},
     "tasks": {"tasks", "agents", "graphs", "physics"},
+    "experts": {"experts", "tasks", "agents", "graphs", "physics"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
 FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning"}

@@ -1,6 +1,15 @@
-"""The observation graph: what its channels mean, and how they are scaled."""
+"""The observation graph: what its channels mean, how they are scaled, and its export."""
 
+from maniskill_grpd.graphs.export import from_hetero_data, to_hetero_data, to_networkx
 from maniskill_grpd.graphs.normalization import GraphNormalizer
 from maniskill_grpd.graphs.schema import Channel, GraphSchema, NodeSchema
 
-__all__ = ["Channel", "GraphNormalizer", "GraphSchema", "NodeSchema"]
+__all__ = [
+    "Channel",
+    "GraphNormalizer",
+    "GraphSchema",
+    "NodeSchema",
+    "from_hetero_data",
+    "to_hetero_data",
+    "to_networkx",
+]

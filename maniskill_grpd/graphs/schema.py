@@ -189,9 +189,10 @@ def _validate_nodes(
         "scalars": ((batch, count, schema.num_scalars), "floating point"),
         "mask": ((batch, count), "bool"),
     }
+    channels = {"vectors": schema.vectors, "scalars": schema.scalars}
     for key, (expected_shape, dtype) in expected.items():
         _shape(nodes, node_type, key)
-        _expect_shape(f"{node_type}.{key}", nodes[key], expected_shape)
+        _expect_shape(f"{node_type}.{key}", nodes[key], expected_shape, channels.get(key, ()))
         _expect_dtype(f"{node_type}.{key}", nodes[key], dtype)
 
 
@@ -227,9 +228,15 @@ def _shape(nodes: Mapping[str, torch.Tensor], node_type: str, key: str) -> torch
     return nodes[key].shape
 
 
-def _expect_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...]) -> None:
+def _expect_shape(
+    name: str, tensor: torch.Tensor, shape: tuple[int, ...], channels: tuple[Channel, ...] = ()
+) -> None:
     if tuple(tensor.shape) != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {tuple(tensor.shape)}")
+        names = ", ".join(channel.name for channel in channels)
+        raise ValueError(
+            f"{name} must have shape {shape}, got {tuple(tensor.shape)}"
+            + (f"; the schema has the channels {names}" if names else "")
+        )
 
 
 def _expect_dtype(name: str, tensor: torch.Tensor, dtype: str) -> None:

@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Literal
 
-import torch
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
-from maniskill_grpd.policies.distribution import ActionDistribution
+from maniskill_grpd.policies.encoded_policy import (
+    EncodedPolicy,
+    Features,
+    HeadOptions,
+    equivariant_mean,
+)
 from maniskill_grpd.policies.layers import (
-    DeepSetsValue,
-    DirectionMagnitudeDecoder,
     EdgeGeometry,
     EquivariantUpdate,
-    IsotropicStd,
     NodeEmbedding,
     SteerableConv,
 )
-from maniskill_grpd.policies.policy import Policy
-
-_Features = tuple[torch.Tensor, torch.Tensor]
+from maniskill_grpd.policies.options import late_option
 
 
 @dataclass(frozen=True, kw_only=True)
-class GRPDOptions:
+class GRPDOptions(HeadOptions):
     """Options of GRPD."""
 
     scalar_dim: int = 32
@@ -47,25 +46,20 @@ class GRPDOptions:
     """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
     max_degree: int = 1
     """Largest degree of the harmonics from objects to actuators, 1 or 2."""
+    max_local_degree: int = late_option(1)
+    """Largest degree of the harmonics along mesh edges, 1 or 2."""
+    normalize_vectors: bool = late_option(False)
+    """Whether vector features are normalised after each round; for many rounds."""
+    decoder: Literal["direction_magnitude", "naive"] = late_option("direction_magnitude")
+    """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
     magnitude: Literal["softplus", "relu"] = "softplus"
-    """Activation of the action's length; relu is eq. 52 as printed."""
-    init_std: float = 0.5
-    """Standard deviation before training, in units of the largest action."""
-    state_dependent_std: bool = True
-    """False: one learned standard deviation for all states and actuators."""
-    value_dim: int = 64
-    """Width of the value function after the sum over nodes; before it, scalar_dim."""
-    value_encoder: Literal["shared", "separate"] = "shared"
-    """Whether the value function reads the actor's node features or has an encoder of its own."""
+    """Activation of the action's length; relu is eq. 52 as printed. Unused by the naive decoder."""
 
     def __post_init__(self) -> None:
-        for name in (field.name for field in fields(self)):
-            if name.endswith(("_dim", "_radial")) and getattr(self, name) < 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.num_layers < 0:
-            raise ValueError(f"num_layers must not be negative, got {self.num_layers}")
-        if self.max_degree not in (1, 2):
-            raise ValueError(f"max_degree must be 1 or 2, got {self.max_degree}")
+        super().__post_init__()
+        for name in ("max_degree", "max_local_degree"):
+            if getattr(self, name) not in (1, 2):
+                raise ValueError(f"{name} must be 1 or 2, got {getattr(self, name)}")
 
     @property
     def object_dims(self) -> tuple[int, int]:
@@ -78,7 +72,7 @@ class GRPDOptions:
         return self.actuator_scalar_dim, self.actuator_vector_dim
 
 
-class GRPD(Policy):
+class GRPD(EncodedPolicy):
     """SE(3)-equivariant policy on heterogeneous graphs.
 
     An encoder passes messages between object nodes (eq. 36, 37), between actuators (38, 39) and
@@ -97,34 +91,13 @@ class GRPD(Policy):
     name = "grpd"
     Options = GRPDOptions
 
-    def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
-        super().__init__(schema, asdict(options))
-        dims = (options.object_dims, options.actuator_dims)
-        self.encoder = GRPDEncoder(schema, options)
-        self.mean = DirectionMagnitudeDecoder(*dims[1], options.magnitude)
-        self.std = IsotropicStd(*dims[1], options.init_std, options.state_dependent_std)
-        self.value_encoder: GRPDEncoder | None = None
-        if options.value_encoder == "separate":
-            self.value_encoder = GRPDEncoder(schema, options)
-        self.critic = DeepSetsValue(dims, options.scalar_dim, options.value_dim)
+    def make_encoder(self, schema: GraphSchema, options: GRPDOptions) -> nn.Module:
+        """See `EncodedPolicy`."""
+        return GRPDEncoder(schema, options)
 
-    def evaluate(
-        self, graph: Mapping[str, Any], *, actor: bool, critic: bool
-    ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
-        """See `Policy.evaluate`."""
-        mask = graph["actuator"]["mask"]
-        distribution = value = nodes = None
-        if actor or self.value_encoder is None:
-            nodes = self.encoder(graph)
-        if actor:
-            mean = self.mean(*nodes[1]).masked_fill(~mask[..., None], 0.0)
-            distribution = ActionDistribution(mean, self.std(*nodes[1]), mask)
-        if critic:
-            if self.value_encoder is not None:
-                nodes = self.value_encoder(graph)
-            masks = (graph["object"]["mask"], mask)
-            value = self.critic([(*node, m) for node, m in zip(nodes, masks, strict=True)])
-        return distribution, value
+    def make_mean(self, options: GRPDOptions) -> nn.Module:
+        """See `EncodedPolicy`."""
+        return equivariant_mean(options)
 
 
 class GRPDEncoder(nn.Module):
@@ -145,19 +118,20 @@ class GRPDEncoder(nn.Module):
             schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims
         )
         edge, size = schema.edge_length, schema.length_scale
-        self.local_geometry = EdgeGeometry(options.num_local_radial, 1, edge, 0.5 * edge)
-        self.actuator_geometry = EdgeGeometry(options.num_actuator_radial, 1, size, 0.05 * size)
-        self.global_geometry = EdgeGeometry(
-            options.num_radial, options.max_degree, size, 0.05 * size
-        )
+        local = options.num_local_radial, options.max_local_degree
+        between = options.num_actuator_radial, 1
+        across = options.num_radial, options.max_degree
+        self.local_geometry = EdgeGeometry(*local, edge, 0.5 * edge)
+        self.actuator_geometry = EdgeGeometry(*between, size, 0.05 * size)
+        self.global_geometry = EdgeGeometry(*across, size, 0.05 * size)
+        normalize = options.normalize_vectors
         self.object_rounds = nn.ModuleList(
-            _MessageRound(dims, dims, options.num_local_radial, 1)
-            for _ in range(options.num_layers)
+            _MessageRound(dims, dims, *local, normalize) for _ in range(options.num_layers)
         )
-        self.actuator_round = _MessageRound(tool_dims, tool_dims, options.num_actuator_radial, 1)
-        self.global_round = _MessageRound(dims, tool_dims, options.num_radial, options.max_degree)
+        self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, normalize)
+        self.global_round = _MessageRound(dims, tool_dims, *across, normalize)
 
-    def forward(self, graph: Mapping[str, Any]) -> tuple[_Features, _Features]:
+    def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
         """Encode a graph.
 
         Args:
@@ -192,6 +166,7 @@ class _MessageRound(nn.Module):
         receiver_dims: tuple[int, int],
         num_radial: int,
         max_degree: int,
+        normalize_vectors: bool,
     ) -> None:
         super().__init__()
         self.conv = SteerableConv(
@@ -201,7 +176,9 @@ class _MessageRound(nn.Module):
             out_scalar_dim=receiver_dims[0],
             out_vector_dim=receiver_dims[1],
         )
-        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0])
+        self.update = EquivariantUpdate(
+            *receiver_dims, message_dim=receiver_dims[0], normalize_vectors=normalize_vectors
+        )
 
-    def forward(self, senders: _Features, receivers: _Features, edges: Any) -> _Features:
+    def forward(self, senders: Features, receivers: Features, edges: Any) -> Features:
         return self.update(*receivers, *self.conv(*senders, edges))

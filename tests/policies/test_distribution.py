@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from torch.distributions import Independent, Normal, kl_divergence
+from torch.distributions import Bernoulli, Independent, Normal, kl_divergence
 
 from maniskill_grpd.policies import ActionDistribution
 
@@ -81,3 +81,72 @@ def test_samples_follow_the_generator_and_carry_no_gradient():
     assert not first.requires_grad
     assert (first.view(5, 3, 3)[:, 2] == 0).all()
     assert (ours.mode.view(5, 3, 3)[:, 2] == 0).all()
+
+
+def with_grippers(seed=0, mask=None, scale=2.0):
+    """A joint distribution of displacements and grippers."""
+    gaussian = make_distribution(seed, mask)
+    rng = torch.Generator().manual_seed(seed + 100)
+    logits = scale * torch.randn(5, 3, generator=rng, dtype=torch.float64)
+    return ActionDistribution(gaussian.mean, gaussian.std, gaussian.mask, logits)
+
+
+@pytest.mark.parametrize("mask", [None, MASK], ids=["full", "masked"])
+def test_joint_with_grippers_matches_torch(mask):
+    """Log-probability, entropy and divergence are those of Gaussian times Bernoulli."""
+    new, old = with_grippers(0, mask), with_grippers(1, mask)
+    coin, old_coin = (Bernoulli(logits=d.gripper_logits) for d in (new, old))
+    action = torch.randn(5, 3, 4, dtype=torch.float64)
+    action[..., 3] = (action[..., 3] > 0).double()
+    weight = new.mask.double()
+    log_prob = reference(new).log_prob(action[..., :3]) + coin.log_prob(action[..., 3])
+    torch.testing.assert_close(new.log_prob(action), (log_prob * weight).sum(-1))
+    torch.testing.assert_close(new.log_prob(action.flatten(1)), (log_prob * weight).sum(-1))
+    entropy = reference(new).entropy() + coin.entropy()
+    torch.testing.assert_close(new.entropy(), (entropy * weight).sum(-1))
+    gripper = kl_divergence(coin, old_coin) * weight
+    torch.testing.assert_close(new.gripper_kl_divergence(old), gripper)
+    whole = kl_divergence(reference(new), reference(old)) * weight + gripper
+    torch.testing.assert_close(new.joint_kl_divergence(old), whole.sum(-1))
+
+
+def test_gripper_divergence_is_exact_when_small_and_finite_when_certain():
+    """KL of a change e of the logit is p (1 - p) e^2 / 2; at logits of 100 nothing overflows."""
+    one = torch.ones(1, 1, 1)
+
+    def gripper(logit):
+        logits = torch.full((1, 1), logit, requires_grad=True)
+        return ActionDistribution(torch.zeros(1, 1, 3), one, one[..., 0] > 0, logits)
+
+    small = gripper(0.301).gripper_kl_divergence(gripper(0.3))
+    p = torch.sigmoid(torch.tensor(0.3))
+    torch.testing.assert_close(small.detach()[0, 0], p * (1 - p) * 5e-7, rtol=5e-3, atol=0.0)
+    for pair in ((100.0, -100.0), (-100.0, 100.0), (100.0, 100.0)):
+        new, old = (gripper(logit) for logit in pair)
+        kl = new.gripper_kl_divergence(old)
+        expected = 100.0 if pair[0] != pair[1] else 0.0  # log(1 / sigmoid(-100))
+        torch.testing.assert_close(kl.detach(), torch.full((1, 1), expected))
+        action = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
+        total = kl.sum() + new.entropy().sum() + new.log_prob(action).sum()
+        total.backward()
+        assert torch.isfinite(total)
+        assert torch.isfinite(new.gripper_logits.grad).all()
+
+
+def test_gripper_samples_have_the_stated_probability():
+    """Within five standard errors over 20,000 samples; masked grippers stay at zero."""
+    count = 20_000
+    logits = torch.tensor([[-1.0, 2.0]]).expand(count, 2)
+    mask = torch.tensor([[True, False]]).expand(count, 2)
+    ours = ActionDistribution(torch.zeros(count, 2, 3), torch.ones(count, 2, 1), mask, logits)
+    closed = ours.sample(torch.Generator().manual_seed(0)).view(count, 2, 4)[..., 3]
+    p = float(torch.sigmoid(torch.tensor(-1.0)))
+    assert abs(float(closed[:, 0].mean()) - p) < 5 * (p * (1 - p) / count) ** 0.5
+    assert (closed[:, 1] == 0).all()
+    assert (ours.mode.view(count, 2, 4)[:, 1] == 0).all()
+
+
+def test_without_grippers_the_gripper_divergence_is_zero():
+    new, old = make_distribution(0), make_distribution(1)
+    assert (new.gripper_kl_divergence(old) == 0).all()
+    torch.testing.assert_close(new.joint_kl_divergence(old), sum(new.kl_divergence(old)).sum(-1))

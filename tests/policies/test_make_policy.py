@@ -33,6 +33,11 @@ def test_unknown_option_lists_the_known_with_types_and_defaults():
         ("scalar_dim", 0, "at least 1"),
         ("num_layers", -1, "negative"),
         ("max_degree", 3, "1 or 2"),
+        ("max_local_degree", 0, "1 or 2"),
+        ("decoder", "mlp", "'direction_magnitude', 'naive'"),
+        ("decoders", "both", "'shared', 'independent'"),
+        ("num_decoders", 0, "at least 1"),
+        ("gripper", 1, "must be bool"),
         ("init_std", 5.0, "inside"),
     ],
 )
@@ -93,19 +98,26 @@ def test_act_samples_float32_from_the_generator(name):
 
 
 @pytest.mark.parametrize(
-    "options",
+    ("name", "options"),
     [
-        {},
-        {"num_layers": 2, "max_degree": 2, "num_local_radial": 2},
-        {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"},
+        *((name, {"gripper": True}) for name in NAMES),
+        *((name, {"decoders": "independent", "num_decoders": 3}) for name in NAMES),
+        ("grpd", {"num_layers": 2, "max_degree": 2, "num_local_radial": 2}),
+        (
+            "grpd",
+            {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"},
+        ),
+        ("grpd", {"decoder": "naive", "max_local_degree": 2, "normalize_vectors": True}),
+        ("empn", {"max_degree": 2, "normalize_vectors": True}),
     ],
     ids=str,
 )
-def test_gradient_reaches_all_parameters(options):
-    policy = make_policy("grpd", SCHEMA, **options)
+def test_gradient_reaches_all_parameters(name, options):
+    policy = make_policy(name, SCHEMA, **options)
     graph = make_graph(16)
     distribution, value = policy(graph)
-    loss = distribution.log_prob(torch.randn(16, 9)).sum() + value.square().sum()
+    action = distribution.sample()
+    loss = distribution.log_prob(action).sum() + value.square().sum()
     loss.backward()
     silent = [
         name
@@ -131,14 +143,92 @@ def test_untrained_policy_moves_gently_and_explores_as_told(state_dependent):
 @pytest.mark.parametrize("name", NAMES)
 def test_traces_as_one_graph(name):
     """No control flow depends on data, so that torch.compile can fuse the whole pass."""
-    policy = make_policy(name, SCHEMA)
+    policy = make_policy(name, SCHEMA, num_layers=1)
     graph = make_graph()
     compiled = torch.compile(lambda g: policy(g)[1], fullgraph=True, backend="eager")
     torch.testing.assert_close(compiled(graph), policy.value(graph))
 
 
-def test_wrong_graph_is_refused_by_name():
-    policy = make_policy("grpd", SCHEMA)
+@pytest.mark.parametrize("name", NAMES)
+def test_all_tensors_follow_the_device_of_the_graph(name):
+    """On the meta device, which refuses any tensor made on the CPU, forward and backward."""
+
+    def to_meta(graph):
+        return {k: to_meta(v) if isinstance(v, dict) else v.to("meta") for k, v in graph.items()}
+
+    policy = make_policy(name, SCHEMA, gripper=True).to("meta")
+    distribution, value = policy(to_meta(make_graph(nodes=20)))
+    action = distribution.sample()
+    loss = distribution.log_prob(action) + value + distribution.joint_kl_divergence(distribution)
+    (loss + distribution.entropy()).sum().backward()
+    assert action.device.type == distribution.mode.device.type == "meta"
+
+
+def num_parameters(policy):
+    return sum(parameter.numel() for parameter in policy.parameters())
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("options", [{}, {"gripper": True}, {"value_encoder": "separate"}], ids=str)
+def test_policies_have_the_same_parameter_budget(name, options):
+    """Within 10 % of `grpd`, so that a comparison is not one of sizes."""
+    budget = num_parameters(make_policy("grpd", SCHEMA, **options))
+    assert abs(num_parameters(make_policy(name, SCHEMA, **options)) / budget - 1.0) < 0.1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_policies_have_the_same_value_function(name):
+    critics = [make_policy(n, SCHEMA).critic for n in ("grpd", name)]
+    assert type(critics[0]) is type(critics[1])
+    assert len(critics[0].inner) == len(critics[1].inner) == 2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gripper_adds_a_fourth_entry_per_actuator(name):
+    """Order (x, y, z, g) per actuator; g is 0 or 1, sampled with the stated probability."""
+    policy = make_policy(name, SCHEMA, gripper=True)
+    graph = make_graph(5)
+    distribution, value = policy(graph)
+    assert value.shape == (5,)
+    assert distribution.gripper_logits.shape == (5, 3)
+    action = policy.act(graph, deterministic=True).view(5, 3, 4)
+    assert torch.equal(action[..., :3], distribution.mean)
+    assert torch.equal(action[..., 3], (distribution.gripper_logits > 0).float())
+    sample = policy.act(graph).view(5, 3, 4)[..., 3]
+    assert ((sample == 0) | (sample == 1)).all()
+    assert distribution.log_prob(action.flatten(1)).shape == (5,)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_independent_decoders_refuse_more_actuators_than_they_are(name):
+    policy = make_policy(name, SCHEMA, decoders="independent", num_decoders=2)
+    assert policy.act(make_graph(actuators=1)).shape == (4, 3)
+    with pytest.raises(ValueError, match=r"decoders for 2 actuators .*num_decoders.* has 3"):
+        policy.act(make_graph(actuators=3))
+
+
+def test_options_that_came_later_do_not_change_old_configs():
+    """A config names them only where they differ, so that old checkpoints still fit."""
+    old = {"scalar_dim", "vector_dim", "magnitude", "init_std", "value_encoder", "max_degree"}
+    late = {"decoder", "decoders", "num_decoders", "gripper", "max_local_degree"}
+    options = make_policy("grpd", SCHEMA).config["options"]
+    assert old <= set(options)
+    assert not late & set(options)
+    chosen = make_policy("grpd", SCHEMA, decoder="naive", gripper=True)
+    assert chosen.config["options"]["decoder"] == "naive"
+    rebuilt = policy_from_config(json.loads(json.dumps(chosen.config)))
+    assert rebuilt.config == chosen.config
+    rebuilt.load_state_dict(chosen.state_dict())
+
+
+def test_heads_must_divide_the_width():
+    with pytest.raises(ValueError, match=r"multiple of num_heads \(5\), got 48"):
+        make_policy("transformer", SCHEMA, num_heads=5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_wrong_graph_is_refused_by_name(name):
+    policy = make_policy(name, SCHEMA)
     graph = make_graph()
     graph["object"]["scalars"] = graph["object"]["scalars"][..., :2]
     with pytest.raises(

@@ -1,11 +1,14 @@
 """Padding changes nothing."""
 
+import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from random_graphs import SCHEMA, SEEDS, make_graph
 
-from maniskill_grpd.policies import make_policy
+from maniskill_grpd.policies import POLICIES, make_policy
+
+NAMES = sorted(POLICIES)
 
 
 def pad(nodes, count, rng):
@@ -35,32 +38,36 @@ def pad(nodes, count, rng):
     return padded, place
 
 
-@given(SEEDS, st.integers(0, 4), st.integers(0, 3))
-def test_padding_nodes_and_actuators_changes_nothing(seed, extra_nodes, extra_actuators):
+@pytest.mark.parametrize("name", NAMES)
+@given(SEEDS, st.integers(0, 4), st.integers(0, 3), st.sampled_from([3, 8, 12]))
+def test_padding_nodes_and_actuators_changes_nothing(
+    name, seed, extra_nodes, extra_actuators, nodes
+):
     """Distribution of the true actuators and value stay, whatever stands in the padding."""
     torch.manual_seed(seed)
-    policy = make_policy("grpd", SCHEMA).double()
-    graph = make_graph(seed=seed, dtype=torch.float64)
+    policy = make_policy(name, SCHEMA, gripper=True).double()
+    graph = make_graph(nodes=nodes, seed=seed, dtype=torch.float64)
     policy.normalizer.update(graph)
     rng = torch.Generator().manual_seed(seed)
-    nodes, _ = pad(graph["object"], extra_nodes, rng)
+    objects, _ = pad(graph["object"], extra_nodes, rng)
     grippers, place = pad(graph["actuator"], extra_actuators, rng)
-    padded = {"object": nodes, "actuator": grippers, "gravity": graph["gravity"]}
+    padded = {"object": objects, "actuator": grippers, "gravity": graph["gravity"]}
     distribution, value = policy(graph)
     padded_distribution, padded_value = policy(padded)
     torch.testing.assert_close(padded_value, value)
     torch.testing.assert_close(padded_distribution.mean[:, place], distribution.mean)
     torch.testing.assert_close(padded_distribution.std[:, place], distribution.std)
-    action = torch.randn(4, 3 + extra_actuators, 3, dtype=torch.float64)
+    action = torch.rand(4, 3 + extra_actuators, 4, dtype=torch.float64).round()
     torch.testing.assert_close(
         padded_distribution.log_prob(action), distribution.log_prob(action[:, place])
     )
     torch.testing.assert_close(padded_distribution.entropy(), distribution.entropy())
 
 
-def test_gradients_stay_finite_with_padding():
+@pytest.mark.parametrize("name", NAMES)
+def test_gradients_stay_finite_with_padding(name):
     """NaN in the padding must not reach the weights through a product with zero."""
-    policy = make_policy("grpd", SCHEMA)
+    policy = make_policy(name, SCHEMA)
     graph = make_graph()
     rng = torch.Generator().manual_seed(0)
     nodes, _ = pad(graph["object"], 3, rng)
@@ -72,9 +79,10 @@ def test_gradients_stay_finite_with_padding():
     assert all(torch.isfinite(parameter.grad).all() for parameter in policy.parameters())
 
 
-def test_masked_neighbor_is_no_neighbor():
+@pytest.mark.parametrize("name", NAMES)
+def test_masked_neighbor_is_no_neighbor(name):
     """A neighbour list that points at a masked node reads as one that points nowhere."""
-    policy = make_policy("grpd", SCHEMA).double()
+    policy = make_policy(name, SCHEMA).double()
     graph = make_graph(dtype=torch.float64)
     graph["object"]["mask"][:, 0] = False
     pruned = {**graph, "object": dict(graph["object"])}
@@ -83,9 +91,10 @@ def test_masked_neighbor_is_no_neighbor():
     torch.testing.assert_close(policy.value(pruned), policy.value(graph))
 
 
-def test_graphs_of_a_batch_do_not_mix():
+@pytest.mark.parametrize("name", NAMES)
+def test_graphs_of_a_batch_do_not_mix(name):
     """Each graph gets what it would get alone."""
-    policy = make_policy("grpd", SCHEMA).double()
+    policy = make_policy(name, SCHEMA).double()
     graph = make_graph(batch=3, dtype=torch.float64)
     whole = policy.distribution(graph).mean
     for i in range(3):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from random_graphs import rotation_from_quaternion
 
-from maniskill_grpd.policies.layers import EdgeGeometry, SteerableConv
+from maniskill_grpd.policies.layers import EdgeGeometry, EquivariantUpdate, SteerableConv
 
 BATCH, SENDERS, RECEIVERS, SCALARS, VECTORS = 2, 6, 3, 5, 4
 CUTOFF, SOFTENING = 0.5, 0.1
@@ -108,11 +108,12 @@ def test_excluding_self_leaves_out_the_diagonal():
         assert (weights.diagonal(dim1=2, dim2=4) == 0).all()
 
 
+@pytest.mark.parametrize(("edge_degree", "max_degree"), [(1, 1), (2, 1), (2, 2)])
 @pytest.mark.parametrize("num_radial", [1, 3])
-def test_neighbor_edges_match_message_by_message(num_radial):
+def test_neighbor_edges_match_message_by_message(num_radial, edge_degree, max_degree):
     """Neighbour lists with gaps and repetitions, and masked nodes."""
-    geometry = EdgeGeometry(num_radial, 1, CUTOFF, SOFTENING)
-    conv = SteerableConv(SCALARS, VECTORS, num_radial=num_radial).double()
+    geometry = EdgeGeometry(num_radial, edge_degree, CUTOFF, SOFTENING)
+    conv = SteerableConv(SCALARS, VECTORS, num_radial=num_radial, max_degree=max_degree).double()
     scalars, vectors = normal(BATCH, SENDERS, SCALARS), normal(3, BATCH, SENDERS, VECTORS)
     position = normal(BATCH, SENDERS, 3)
     mask = torch.ones(BATCH, SENDERS, dtype=torch.bool)
@@ -130,6 +131,61 @@ def test_neighbor_edges_match_message_by_message(num_radial):
     )
     for a, e in zip(actual, expected, strict=True):
         torch.testing.assert_close(a, e)
+
+
+def test_receivers_apart_from_senders_hear_the_same():
+    """Some nodes as receivers of their own lists get what they get among all; envelopes weigh."""
+    geometry = EdgeGeometry(2, 1, CUTOFF, SOFTENING)
+    conv = SteerableConv(SCALARS, VECTORS, num_radial=2).double()
+    features = normal(BATCH, SENDERS, SCALARS), normal(3, BATCH, SENDERS, VECTORS)
+    position = normal(3, BATCH, SENDERS)
+    mask = torch.ones(BATCH, SENDERS, dtype=torch.bool)
+    neighbors = torch.randint(-1, SENDERS, (BATCH, SENDERS, 3))
+    scalars, vectors = conv(*features, geometry.neighbors(position, mask, neighbors))
+    chosen = torch.tensor([4, 1])
+    envelope = torch.ones(BATCH, 2, 3, dtype=torch.float64)
+    edges = geometry.neighbors(
+        position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
+    )
+    some_scalars, some_vectors = conv(*features, edges)
+    torch.testing.assert_close(some_scalars, scalars[:, chosen])
+    torch.testing.assert_close(some_vectors, vectors[:, :, chosen])
+    envelope[:, :, 1:] = 0.0
+    alone = neighbors.clone()
+    alone[:, :, 1:] = -1
+    # The floor of the normalisation counts at least one edge: a weight of zero is no edge.
+    edges = geometry.neighbors(
+        position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
+    )
+    faded = conv(*features, edges)
+    pruned = conv(*features, geometry.neighbors(position, mask, alone))
+    torch.testing.assert_close(faded[0], pruned[0][:, chosen])
+    torch.testing.assert_close(faded[1], pruned[1][:, :, chosen])
+
+
+@pytest.mark.parametrize("normalize", [False, True])
+def test_update_is_equivariant_and_safe_at_zero(normalize):
+    """Also with `VectorNorm`: unit RMS length, and a finite gradient at zero."""
+    update = EquivariantUpdate(SCALARS, VECTORS, 6, normalize_vectors=normalize).double()
+    scalars, messages = normal(BATCH, SENDERS, SCALARS), normal(BATCH, SENDERS, 6)
+    vectors, pushes = normal(3, BATCH, SENDERS, VECTORS), normal(3, BATCH, SENDERS, VECTORS)
+    rotation = rotation_from_quaternion((0.1, -0.5, 0.3, 0.8))
+
+    def rotate(vector):
+        return torch.einsum("ij,j...->i...", rotation, vector)
+
+    s, v = update(scalars, vectors, messages, pushes)
+    s_moved, v_moved = update(scalars, rotate(vectors), messages, rotate(pushes))
+    torch.testing.assert_close(s_moved, s)
+    torch.testing.assert_close(v_moved, rotate(v))
+    if normalize:
+        rms = v.square().sum(0).mean(-1)
+        torch.testing.assert_close(rms, torch.ones_like(rms), rtol=1e-4, atol=0.0)
+    zero = torch.zeros_like(vectors, requires_grad=True)
+    s, v = update(scalars, zero, messages, torch.zeros_like(pushes))
+    assert (v == 0).all()
+    (s.sum() + v.sum()).backward()
+    assert torch.isfinite(zero.grad).all()
 
 
 @pytest.mark.parametrize("max_degree", [1, 2])

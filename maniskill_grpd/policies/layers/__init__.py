@@ -1,30 +1,53 @@
-"""Layers of equivariant policies, one per file.
+"""Layers of policies, one per file.
 
-Node features are scalars (..., C) and vectors (3, ..., D): channels contiguous, and each component
-of the vectors a contiguous block, so that products of components run at full vector width.
+Node features of equivariant layers are scalars (..., C) and vectors (3, ..., D): channels
+contiguous, and each component of the vectors a contiguous block, so that products of components run
+at full vector width.
 """
 
+from maniskill_grpd.policies.layers.attention_block import AttentionBlock
+from maniskill_grpd.policies.layers.channel_first_linear import ChannelFirstLinear
 from maniskill_grpd.policies.layers.deep_sets_value import DeepSetsValue
 from maniskill_grpd.policies.layers.direction_magnitude_decoder import DirectionMagnitudeDecoder
 from maniskill_grpd.policies.layers.edges import CompleteEdges, EdgeGeometry, NeighborEdges
 from maniskill_grpd.policies.layers.equivariant_update import EquivariantUpdate, vector_norms
+from maniskill_grpd.policies.layers.gripper_head import GripperHead
 from maniskill_grpd.policies.layers.isotropic_std import IsotropicStd
+from maniskill_grpd.policies.layers.local_neighborhood import LocalNeighborhood
+from maniskill_grpd.policies.layers.merged_nodes import MergedNodes
+from maniskill_grpd.policies.layers.mlp_messages import MLPMessages
+from maniskill_grpd.policies.layers.naive_decoder import NaiveDecoder
 from maniskill_grpd.policies.layers.node_embedding import NodeEmbedding
+from maniskill_grpd.policies.layers.per_actuator import PerActuator
 from maniskill_grpd.policies.layers.radial_basis import RadialBasis
+from maniskill_grpd.policies.layers.raw_decoder import RawDecoder
+from maniskill_grpd.policies.layers.raw_embedding import RawEmbedding
 from maniskill_grpd.policies.layers.solid_harmonics import solid_harmonics
 from maniskill_grpd.policies.layers.steerable_conv import SteerableConv
+from maniskill_grpd.policies.layers.vector_norm import VectorNorm
 
 __all__ = [
+    "AttentionBlock",
+    "ChannelFirstLinear",
     "CompleteEdges",
     "DeepSetsValue",
     "DirectionMagnitudeDecoder",
     "EdgeGeometry",
     "EquivariantUpdate",
+    "GripperHead",
     "IsotropicStd",
+    "LocalNeighborhood",
+    "MLPMessages",
+    "MergedNodes",
+    "NaiveDecoder",
     "NeighborEdges",
     "NodeEmbedding",
+    "PerActuator",
     "RadialBasis",
+    "RawDecoder",
+    "RawEmbedding",
     "SteerableConv",
+    "VectorNorm",
     "solid_harmonics",
     "vector_norms",
 ]

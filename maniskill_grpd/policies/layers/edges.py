@@ -50,12 +50,12 @@ class CompleteEdges:
 
 @dataclass(frozen=True, eq=False)
 class NeighborEdges:
-    """Edges from a short list of neighbours to each node.
+    """Edges from a short list of neighbours to each of R receivers.
 
     Attributes:
-        index: Row of the sender in the flattened (B * N, F) features, (K, B * N); padding points at
+        index: Row of the sender in the flattened (B * N, F) features, (K, B * R); padding points at
             the first row.
-        weights: Kernel factors, (M, K, Q, B * N, 1); zero on padding.
+        weights: Kernel factors, (M, K, Q, B * R, 1); zero on padding.
     """
 
     index: torch.Tensor
@@ -68,15 +68,14 @@ class NeighborEdges:
             features: (L, B, N, F).
 
         Returns:
-            L * K tensors (B * N, F); the neighbours of one leading index follow each other.
+            L * K tensors (B * R, F); the neighbours of one leading index follow each other.
         """
-        leading, width = features.shape[0], features.shape[-1]
-        rows = self.index.shape[1]
-        offset = torch.arange(leading, device=features.device) * rows
+        leading, batch, count, width = features.shape
+        offset = torch.arange(leading, device=features.device) * (batch * count)
         # One gather along the first axis, whose backward pass is one scatter of whole rows.
         index = (self.index + offset[:, None, None]).reshape(-1)
         gathered = features.reshape(-1, width).index_select(0, index)
-        return gathered.view(-1, rows, width).unbind(0)
+        return gathered.view(-1, self.index.shape[1], width).unbind(0)
 
 
 class EdgeGeometry(nn.Module):
@@ -134,24 +133,35 @@ class EdgeGeometry(nn.Module):
         return CompleteEdges(weights.flatten(2, 3), self.basis.num_basis)
 
     def neighbors(
-        self, position: torch.Tensor, mask: torch.Tensor, neighbors: torch.Tensor
+        self,
+        position: torch.Tensor,
+        mask: torch.Tensor,
+        neighbors: torch.Tensor,
+        *,
+        receivers: torch.Tensor | None = None,
+        envelope: torch.Tensor | None = None,
     ) -> NeighborEdges:
-        """Connect every node with its listed neighbours.
+        """Connect every receiver with its listed neighbours.
 
         Args:
-            position: (3, B, N) [m].
+            position: Positions of the senders, (3, B, N) [m].
             mask: (B, N) bool; masked nodes send nothing.
-            neighbors: (B, N, K) int64, -1 where there is none.
+            neighbors: Senders by receiver, (B, R, K) int64, -1 where there is none.
+            receivers: Positions of the receivers, (3, B, R) [m]; by default the senders.
+            envelope: Invariant factor of each edge, (B, R, K); by default one.
         """
         batch, count, _ = neighbors.shape
         neighbors = neighbors.permute(2, 0, 1)
-        first = torch.arange(batch, device=neighbors.device)[:, None] * count
+        first = torch.arange(batch, device=neighbors.device)[:, None] * position.shape[2]
         index = (neighbors.clamp(min=0) + first).reshape(-1, batch * count)
         rows = position.reshape(3, -1)
-        offsets = rows[:, index] - rows[:, None]  # (3, K, B N)
+        own = rows if receivers is None else receivers.reshape(3, -1)
+        offsets = rows[:, index] - own[:, None]  # (3, K, B R)
         valid = (mask.reshape(-1)[index] & (neighbors >= 0).reshape(index.shape)).to(rows.dtype)
+        if envelope is not None:
+            valid = valid * envelope.permute(2, 0, 1).reshape(index.shape)
         radial, harmonics = self._factors(offsets)
-        radial = torch.stack(radial, dim=1) * valid[:, None]  # (K, Q, B N)
+        radial = torch.stack(radial, dim=1) * valid[:, None]  # (K, Q, B R)
         share = radial.sum(0) + _SMALLEST_SHARE * valid.sum(0).clamp(min=1.0)
         weights = torch.stack(harmonics)[:, :, None] * (radial / share)
         return NeighborEdges(index, weights.unsqueeze(-1))

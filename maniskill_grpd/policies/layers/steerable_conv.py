@@ -42,7 +42,6 @@ class SteerableConv(nn.Module):
         vector_dim: Channels D of sender vectors.
         num_radial: Radial functions of the edges.
         max_degree: Largest degree of the harmonics, 1 or 2; the edges must have at least that many.
-            Neighbour lists take degree 1 only.
         out_scalar_dim: C_out, default C.
         out_vector_dim: D_out, default D.
     """
@@ -98,8 +97,9 @@ class SteerableConv(nn.Module):
     def _neighbors(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: NeighborEdges
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
-        """As `_complete`; each entry is (B, N, F), one set per radial function."""
-        shape = (*scalars.shape[:2], -1)
+        """As `_complete`; each entry is (B, R, F), one set per radial function."""
+        batch = scalars.shape[0]
+        shape = (batch, edges.index.shape[1] // batch, -1)
         still = edges.gather(scalars.unsqueeze(0))
         directed = edges.gather(self.mix(scalars).unsqueeze(0))
         moved = edges.gather(vectors)
@@ -107,7 +107,7 @@ class SteerableConv(nn.Module):
         x, y, z = moved[:count], moved[count : 2 * count], moved[2 * count :]
         invariant, paths = [], []
         for weights in edges.weights.unbind(2):
-            one, px, py, pz = (harmonic.unbind(0) for harmonic in weights.unbind(0))
+            one, px, py, pz = (harmonic.unbind(0) for harmonic in weights[:4].unbind(0))
             invariant += [_sum((one, still)), _sum((px, x), (py, y), (pz, z))]
             paths += [
                 [_sum((p, directed)) for p in (px, py, pz)],
@@ -118,8 +118,23 @@ class SteerableConv(nn.Module):
                     _sum((px, y)) - _sum((py, x)),
                 ],
             ]
+            if self.max_degree == 2:
+                rows = _traceless(weights)
+                paths.append([_sum(*zip(row, (x, y, z), strict=True)) for row in rows])
         paths = [[component.view(shape) for component in path] for path in paths]
         return [entry.view(shape) for entry in invariant], paths
+
+
+def _traceless(weights: torch.Tensor) -> list[list[Sequence[torch.Tensor]]]:
+    """Matrix sqrt(15) (p p^T - |p|^2 / 3) of harmonics (M, K, ...), each entry K weights."""
+    xy, yz, zz, xz, xx_yy = weights[4:9].unbind(0)
+    third = 1.0 / math.sqrt(3.0)
+    matrix = [
+        [xx_yy - third * zz, xy, xz],
+        [xy, -xx_yy - third * zz, yz],
+        [xz, yz, (2.0 * third) * zz],
+    ]
+    return [[entry.unbind(0) for entry in row] for row in matrix]
 
 
 def _sum(*products: tuple[Sequence[torch.Tensor], Sequence[torch.Tensor]]) -> torch.Tensor:

@@ -1,0 +1,38 @@
+"""Scripted experts: proof that tasks are solvable, sources of demonstrations, reference lines."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from maniskill_grpd.experts.expert import Expert
+from maniskill_grpd.experts.rope_shaping_expert import RopeShapingExpert
+
+EXPERTS: dict[str, type[Expert]] = {"RopeShaping-v1": RopeShapingExpert}
+"""Expert classes by the id of their task."""
+
+
+def make_expert(env_id: str, env: Any) -> Expert:
+    """Make the expert of a task.
+
+    Args:
+        env_id: Id of the task.
+        env: The environment it acts in, plain or wrapped, of any number of worlds.
+
+    Returns:
+        The expert; `expert.act()` gives the action for the present state of all worlds.
+
+    Raises:
+        ValueError: If the task has no expert, or `env` is an environment of another task.
+    """
+    if env_id not in EXPERTS:
+        raise ValueError(f"{env_id!r} has no expert; tasks with one are {sorted(EXPERTS)}")
+    expert = EXPERTS[env_id]
+    if not isinstance(env.unwrapped, expert.task):
+        raise ValueError(
+            f"the expert of {env_id!r} acts in a {expert.task.__name__}, "
+            f"got a {type(env.unwrapped).__name__}"
+        )
+    return expert(env)
+
+
+__all__ = ["EXPERTS", "Expert", "RopeShapingExpert", "make_expert"]

@@ -1,0 +1,142 @@
+"""What the policies have in common: an encoder, heads at the actuators, a value function."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import torch
+from torch import nn
+
+from maniskill_grpd.graphs import GraphSchema
+from maniskill_grpd.policies.distribution import ActionDistribution
+from maniskill_grpd.policies.layers import (
+    DeepSetsValue,
+    DirectionMagnitudeDecoder,
+    GripperHead,
+    IsotropicStd,
+    NaiveDecoder,
+    PerActuator,
+)
+from maniskill_grpd.policies.options import late_option, options_to_config
+from maniskill_grpd.policies.policy import Policy
+
+Features = tuple[torch.Tensor, torch.Tensor]
+"""Scalars (B, n, C) and vectors (3, B, n, D) of one node type; D is 0 without equivariance."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeadOptions(abc.ABC):
+    """Options of all policies."""
+
+    init_std: float = 0.5
+    """Standard deviation before training, in units of the largest action."""
+    state_dependent_std: bool = True
+    """False: one learned standard deviation for all states and actuators."""
+    value_dim: int = 64
+    """Width of the value function after the sum over nodes; before it, scalar_dim."""
+    value_encoder: Literal["shared", "separate"] = "shared"
+    """Whether the value function reads the actor's node features or has an encoder of its own."""
+    decoders: Literal["shared", "independent"] = late_option("shared")
+    """Independent: weights of its own for each place in the list of actuators. The order of
+    actuators then matters, and no graph may have more than num_decoders of them."""
+    num_decoders: int = late_option(4)
+    """Number of independent decoders."""
+    gripper: bool = late_option(False)
+    """Whether actions have a fourth entry per actuator that closes (1) or opens (0) it."""
+
+    def __post_init__(self) -> None:
+        for name in (field.name for field in fields(self)):
+            if name.endswith(("_dim", "_radial", "_heads", "_decoders", "_nearest")):
+                if getattr(self, name) < 1:
+                    raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+            elif name == "num_layers" and self.num_layers < 0:
+                raise ValueError(f"num_layers must not be negative, got {self.num_layers}")
+
+    @property
+    @abc.abstractmethod
+    def object_dims(self) -> tuple[int, int]:
+        """Scalar and vector channels of object nodes."""
+
+    @property
+    @abc.abstractmethod
+    def actuator_dims(self) -> tuple[int, int]:
+        """Scalar and vector channels of actuators."""
+
+
+class EncodedPolicy(Policy):
+    """Encoder, decoder of mean actions, standard deviation, gripper, DeepSets value.
+
+    A subclass builds its encoder, a module from a normalised graph to `Features` of objects and of
+    actuators, and its decoder of mean actions.
+
+    Args:
+        schema: What the graphs hold.
+        options: Sizes and variants.
+    """
+
+    Options: type[HeadOptions]
+
+    def __init__(self, schema: GraphSchema, options: HeadOptions) -> None:
+        super().__init__(schema, options_to_config(options))
+        dims = (options.object_dims, options.actuator_dims)
+
+        def head(make: Callable[[], nn.Module]) -> nn.Module:
+            independent = options.decoders == "independent"
+            return PerActuator(make, options.num_decoders) if independent else make()
+
+        self.encoder = self.make_encoder(schema, options)
+        self.mean = head(lambda: self.make_mean(options))
+        self.std = head(
+            lambda: IsotropicStd(*dims[1], options.init_std, options.state_dependent_std)
+        )
+        self.value_encoder: nn.Module | None = None
+        if options.value_encoder == "separate":
+            self.value_encoder = self.make_encoder(schema, options)
+        self.critic = DeepSetsValue(dims, dims[0][0], options.value_dim)
+        self.gripper = head(lambda: GripperHead(*dims[1])) if options.gripper else None
+
+    @abc.abstractmethod
+    def make_encoder(self, schema: GraphSchema, options: Any) -> nn.Module:
+        """Build an encoder with fresh weights."""
+
+    @abc.abstractmethod
+    def make_mean(self, options: Any) -> nn.Module:
+        """Build a decoder from actuator features to mean actions (..., 3)."""
+
+    def evaluate(
+        self, graph: Mapping[str, Any], *, actor: bool, critic: bool
+    ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
+        """See `Policy.evaluate`."""
+        mask = graph["actuator"]["mask"]
+        distribution = value = nodes = None
+        if actor or self.value_encoder is None:
+            nodes = self.encoder(graph)
+        if actor:
+            distribution = self._decode(nodes[1], mask)
+        if critic:
+            if self.value_encoder is not None:
+                nodes = self.value_encoder(graph)
+            masks = (graph["object"]["mask"], mask)
+            value = self.critic([(*node, m) for node, m in zip(nodes, masks, strict=True)])
+        return distribution, value
+
+    def _decode(self, actuators: Features, mask: torch.Tensor) -> ActionDistribution:
+        mean = self.mean(*actuators).masked_fill(~mask[..., None], 0.0)
+        logits = None if self.gripper is None else self.gripper(*actuators).squeeze(-1)
+        return ActionDistribution(mean, self.std(*actuators), mask, logits)
+
+
+def equivariant_mean(options: Any) -> nn.Module:
+    """Decoder of mean actions that `options.decoder` names."""
+    dims = options.actuator_dims
+    if options.decoder == "naive":
+        return NaiveDecoder(*dims)
+    return DirectionMagnitudeDecoder(*dims, options.magnitude)
+
+
+def without_vectors(scalars: torch.Tensor) -> Features:
+    """Features of policies that know scalars only."""
+    return scalars, scalars.new_zeros(3, *scalars.shape[:-1], 0)
