@@ -2,16 +2,17 @@
 
 python benchmarks/env.py [--quick] [--json FILE] [--markdown FILE]
 
-Ours steps through `ManiSkillVectorEnv` with graph observations and random actions. The peer is PickCube-v1 with state observations
-on the same processor; PhysX on the CPU has one world per process. PickCube builds visuals and so needs a Vulkan driver; where there
-is none, the peer is a minimal environment with one Panda and no visuals, and is labelled so. The machine is noisy, so peer and ours
-take turns, and what counts is the ratio of medians.
+Ours steps through `ManiSkillVectorEnv` with graph observations and random actions. The peer is PickCube-v1 with state
+observations on the same processor; PhysX on the CPU has one world per process. PickCube builds visuals and so needs a
+Vulkan driver; where there is none, the peer is a minimal environment with one Panda and no visuals, and is labelled so.
+Machines are noisy, so peer and ours take turns, and what counts is the ratio of medians.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
 import statistics
 import sys
@@ -46,9 +47,11 @@ class OnePandaEnv(BaseEnv):
         pass
 
     def evaluate(self) -> dict:
+        """Never succeed."""
         return {"success": torch.zeros(self.num_envs, dtype=torch.bool)}
 
     def compute_normalized_dense_reward(self, obs, action, info) -> torch.Tensor:
+        """Pay nothing."""
         return torch.zeros(self.num_envs)
 
 
@@ -97,7 +100,8 @@ def measure(seconds: float, repeats: int) -> list[dict]:
     peer_rate = statistics.median(rates[peer_name, 1])
     rows = []
     for (name, num), values in rates.items():
-        row = {"env": name, "num_worlds": num, "env_steps_per_s": statistics.median(values), "min": min(values), "max": max(values)}
+        row = {"env": name, "num_worlds": num, "env_steps_per_s": statistics.median(values)}
+        row |= {"min": min(values), "max": max(values)}
         if name != peer_name:
             row |= {"peer": peer_name, "ratio": row["env_steps_per_s"] / peer_rate}
         rows.append(row)
@@ -116,9 +120,16 @@ def to_markdown(rows: list[dict]) -> str:
 
 def machine() -> dict[str, str | int]:
     """Describe what the figures were measured on."""
-    cpu = next((line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line), "?") \
-        if Path("/proc/cpuinfo").exists() else platform.processor()  # fmt: skip
-    return {"cpu": cpu, "torch_threads": torch.get_num_threads(), "torch": torch.__version__, "python": platform.python_version()}
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return {
+        "cpu": names[0] if names else platform.processor(),
+        "cores": os.cpu_count() or 1,
+        "torch_threads": torch.get_num_threads(),
+        "torch": torch.__version__,
+        "python": platform.python_version(),
+    }
 
 
 def main() -> None:

@@ -2,9 +2,9 @@
 
 python examples/rope_shaping_detours.py
 
-Every gripper first goes to a point beyond its goal (`beyond` metres towards the middle vertex of the W, `lift` metres up), then to its
-goal, so that the free middle trails on the right side. The table shows success, final distance and the discounted return (gamma 0.99)
-under the task's reward and under one that pays for nearness alone.
+Every gripper first goes to a point beyond its goal (`beyond` metres towards the middle vertex of the W, `lift` metres up),
+then to its goal, so that the free middle trails on the right side. The table shows success, final distance and the
+discounted return (gamma 0.99) under the task's reward and under one that pays for nearness alone.
 """
 
 import gymnasium as gym
