@@ -51,10 +51,13 @@ def push_node(
 
 
 @wp.func
-def project_stretch_chain(
+def project_stretch_line(
     world: int,
     first_edge: int,
+    first_node: int,
+    first_scratch: int,
     num_edges: int,
+    line_nodes: wp.array(dtype=int),
     rest_lengths: wp.array(dtype=float),
     compliances: wp.array(dtype=float),
     inverse_dt2: float,
@@ -65,71 +68,47 @@ def project_stretch_chain(
     upper: wp.array2d(dtype=float),
     multipliers: wp.array2d(dtype=float),
 ):
-    """Project all stretch constraints C_k = |x_k - x_k+1| - rest_k of a chain at once.
+    """Project all stretch constraints C_k = |x_k - x_k+1| - rest_k of a line of nodes at once.
 
-    One Newton step of XPBD, (J W J^T + compliance / dt^2) lambda = -C, whose matrix is tridiagonal for a chain and solved by
+    One Newton step of XPBD, (J W J^T + compliance / dt^2) lambda = -C, whose matrix is tridiagonal for a line and solved by
     elimination in O(N) (Deul et al. 2018). A sweep of single projections would carry tension by one node per substep and so add
     an elongation of its own that grows with resolution; the direct solve leaves only the material's.
     """
     pivot = float(1.0)
     eliminated = float(0.0)
     last_direction = wp.vec3(0.0, 0.0, 0.0)
+    node = line_nodes[first_node]
+    x = positions[world, node]
+    w = weights[world, node]
     for k in range(num_edges):
-        difference = positions[world, k] - positions[world, k + 1]
+        next_node = line_nodes[first_node + k + 1]
+        x_next = positions[world, next_node]
+        w_next = weights[world, next_node]
+        difference = x - x_next
         length = wp.length(difference)
         direction = difference / wp.max(length, 1.0e-9)
-        w_k = weights[world, k]
-        w_next = weights[world, k + 1]
-        diagonal = w_k + w_next + compliances[first_edge + k] * inverse_dt2
-        off_diagonal = -w_k * wp.dot(last_direction, direction)
+        diagonal = w + w_next + compliances[first_edge + k] * inverse_dt2
+        off_diagonal = -w * wp.dot(last_direction, direction)
         ratio = off_diagonal / pivot
         if k > 0:
-            upper[world, k - 1] = ratio
+            upper[world, first_scratch + k - 1] = ratio
         pivot = diagonal - off_diagonal * ratio
         eliminated = (rest_lengths[first_edge + k] - length - off_diagonal * eliminated) / pivot
-        multipliers[world, k] = eliminated
-        directions[world, k] = direction
+        multipliers[world, first_scratch + k] = eliminated
+        directions[world, first_scratch + k] = direction
         last_direction = direction
+        x = x_next
+        w = w_next
 
     multiplier = float(0.0)
     push = wp.vec3(0.0, 0.0, 0.0)  # lambda_k * direction_k of the edge behind
     for reverse in range(num_edges):
         k = num_edges - 1 - reverse
-        multiplier = multipliers[world, k] - upper[world, k] * multiplier
-        pull = directions[world, k] * multiplier
-        push_node(world, k + 1, push - pull, weights, positions, reactions)
+        multiplier = multipliers[world, first_scratch + k] - upper[world, first_scratch + k] * multiplier
+        pull = directions[world, first_scratch + k] * multiplier
+        push_node(world, line_nodes[first_node + k + 1], push - pull, weights, positions, reactions)
         push = pull
-    push_node(world, 0, push, weights, positions, reactions)
-
-
-@wp.func
-def project_stretch(
-    world: int,
-    edge: wp.vec2i,
-    rest_length: float,
-    compliance_over_dt2: float,
-    weights: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    reactions: wp.array2d(dtype=wp.vec3),
-):
-    """Project C = |x_i - x_j| - rest_length: lambda = -C / (w_i + w_j + compliance / dt^2)."""
-    i = edge[0]
-    j = edge[1]
-    x_i = positions[world, i]
-    x_j = positions[world, j]
-    w_i = weights[world, i]
-    w_j = weights[world, j]
-    difference = x_i - x_j
-    length = wp.length(difference)
-    impulse = difference * ((rest_length - length) / ((w_i + w_j + compliance_over_dt2) * wp.max(length, 1.0e-9)))
-    if w_i > 0.0:
-        positions[world, i] = x_i + impulse * w_i
-    else:
-        reactions[world, i] = reactions[world, i] + impulse
-    if w_j > 0.0:
-        positions[world, j] = x_j - impulse * w_j
-    else:
-        reactions[world, j] = reactions[world, j] - impulse
+    push_node(world, line_nodes[first_node], push, weights, positions, reactions)
 
 
 @wp.func

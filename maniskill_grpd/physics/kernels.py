@@ -16,8 +16,7 @@ from maniskill_grpd.physics.constraint_functions import (
     limit_gripper_targets,
     project_bend,
     project_hinge,
-    project_stretch,
-    project_stretch_chain,
+    project_stretch_line,
     project_tethers,
 )
 from maniskill_grpd.physics.self_contact_functions import (
@@ -40,8 +39,6 @@ POSITION_LIMIT = wp.constant(1.0e4)
 class Features:
     """What the worlds of a solver contain. Everything else is left out of its kernel."""
 
-    chains: bool = False
-    edges: bool = False
     bends: bool = False
     hinges: bool = False
     tethers: bool = False
@@ -59,14 +56,13 @@ class Objects:
     node_counts: wp.array(dtype=int)
     radii: wp.array(dtype=float)
     max_stretch: wp.array(dtype=float)  # 1 + max_strain
-    chain_starts: wp.array(dtype=int)
-    chain_rest_lengths: wp.array(dtype=float)
-    chain_compliances: wp.array(dtype=float)
-    edge_ranges: wp.array(dtype=int)
-    edge_colors: wp.array(dtype=int)
-    edges: wp.array(dtype=wp.vec2i)
-    edge_rest_lengths: wp.array(dtype=float)
-    edge_compliances: wp.array(dtype=float)
+    # Lines of edges; line l has the edges line_edges[l] ... line_edges[l + 1], and one node more.
+    line_ranges: wp.array(dtype=int)
+    line_colors: wp.array(dtype=int)
+    line_edges: wp.array(dtype=int)
+    line_nodes: wp.array(dtype=int)
+    rest_lengths: wp.array(dtype=float)
+    stretch_compliances: wp.array(dtype=float)
     bend_ranges: wp.array(dtype=int)
     bend_colors: wp.array(dtype=int)
     bends: wp.array(dtype=wp.vec3i)
@@ -310,24 +306,17 @@ def build_step_kernel(features: Features) -> wp.Kernel:
                     )  # fmt: skip
                 synchronize_block()
 
-            # Stretch after bending: a rope's length is the stiffer and the more visible of the two.
-            if wp.static(features.chains):
-                num_edges = objects.chain_starts[variant + 1] - objects.chain_starts[variant]
-                if lane == 0 and num_edges > 0:
-                    project_stretch_chain(
-                        world, objects.chain_starts[variant], num_edges, objects.chain_rest_lengths, objects.chain_compliances,
+            # Stretch after bending: the length is the stiffer and the more visible of the two.
+            first_edge = objects.line_edges[objects.line_colors[objects.line_ranges[variant]]]
+            for color in range(objects.line_ranges[variant], objects.line_ranges[variant + 1] - 1):
+                for line in range(objects.line_colors[color] + lane, objects.line_colors[color + 1], lanes):
+                    edge = objects.line_edges[line]
+                    project_stretch_line(
+                        world, edge, edge + line, edge - first_edge, objects.line_edges[line + 1] - edge,
+                        objects.line_nodes, objects.rest_lengths, objects.stretch_compliances,
                         stretch_inverse_dt2, weights, positions, reactions, directions, upper, multipliers,
                     )  # fmt: skip
                 synchronize_block()
-
-            if wp.static(features.edges):
-                for color in range(objects.edge_ranges[variant], objects.edge_ranges[variant + 1] - 1):
-                    for c in range(objects.edge_colors[color] + lane, objects.edge_colors[color + 1], lanes):
-                        project_stretch(
-                            world, objects.edges[c], objects.edge_rest_lengths[c],
-                            objects.edge_compliances[c] * stretch_inverse_dt2, weights, positions, reactions,
-                        )  # fmt: skip
-                    synchronize_block()
 
             if wp.static(features.self_contact):
                 for owner in range(lane, objects.owner_counts[variant], lanes):

@@ -9,6 +9,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from maniskill_grpd.physics.lines import group_into_lines
+
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
@@ -29,8 +31,8 @@ class Model:
     friction: float
     """Default coefficient of Coulomb friction against the table, dimensionless."""
     edges: np.ndarray
-    """Node pairs, each a stretch constraint C = |x_i - x_j| - rest_length, (E, 2) int32. Those of a rope are in order, edge k
-    joining nodes k and k + 1, and are then solved all at once (see `is_chain`)."""
+    """Node pairs, each a stretch constraint C = |x_i - x_j| - rest_length, (E, 2) int32. Edge k of a rope joins nodes k and
+    k + 1."""
     rest_lengths: np.ndarray
     """Rest lengths of the edges, (E,) float32 [m]."""
     stretch_compliances: np.ndarray
@@ -79,10 +81,12 @@ class Model:
         return np.array([sorted(nodes) + [-1] * (width - len(nodes)) for nodes in lists], dtype=np.int64)
 
     @cached_property
-    def is_chain(self) -> bool:
-        """True when edge k joins nodes k and k + 1 and nothing else does."""
+    def lines(self) -> list[np.ndarray]:
+        """Nodes of the lines into which the edges are grouped, each solved at once; a rope is a single line in its own order."""
         nodes = np.arange(self.num_nodes)
-        return np.array_equal(self.edges, np.stack([nodes[:-1], nodes[1:]], axis=1))
+        if np.array_equal(self.edges, np.stack([nodes[:-1], nodes[1:]], axis=1)):
+            return [nodes]
+        return group_into_lines(self.rest_positions.astype(np.float64), self.edges)
 
     def geodesic_distances(self, nodes: np.ndarray) -> np.ndarray:
         """Return the shortest way through the rest shape from every node to given nodes (A,), as (N, A) float32 [m]."""

@@ -421,8 +421,8 @@ class Solver:
         self._previous, self._backup, self._reactions = (scratch(nodes, 3) for _ in range(3))
         self._weights = scratch(nodes)
         self._tether_impulses = torch.zeros(count, self.num_grippers, nodes if features.tethers else 1, 3, device=device)
-        self._directions = torch.zeros(count, nodes if features.chains else 1, 3, device=device)
-        self._upper, self._multipliers = (scratch(nodes, used=features.chains) for _ in range(2))
+        edges = max(len(model.edges) for model in self.models)
+        self._directions, self._upper, self._multipliers = scratch(edges, 3), scratch(edges), scratch(edges)
         used = features.self_contact
         self._contacts = {
             "nodes": (torch.zeros(count, slots if used else 1, 4, dtype=torch.int32, device=device), wp.vec4i),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -19,8 +20,6 @@ EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
     """Return what the kernel must be able to do."""
     return Features(
-        chains=any(model.is_chain for model in models),
-        edges=any(not model.is_chain for model in models),
         bends=any(len(model.bends) > 0 for model in models),
         hinges=any(len(model.hinges) > 0 for model in models),
         tethers=any(np.isfinite(model.max_strain) for model in models),
@@ -49,15 +48,11 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.node_counts = array([model.num_nodes for model in models], int)
     objects.radii = array([model.radius for model in models], float)
     objects.max_stretch = array([1.0 + model.max_strain for model in models], float)
-    chains = [model if model.is_chain else None for model in models]
-    objects.chain_starts = array(_starts([0 if model is None else len(model.edges) for model in chains]), int)
-    objects.chain_rest_lengths = array(_join([model.rest_lengths for model in models if model.is_chain], 0), float)
-    objects.chain_compliances = array(_join([model.stretch_compliances for model in models if model.is_chain], 0), float)
-
-    edges = [(m.edges, m.rest_lengths, m.stretch_compliances) if not m.is_chain else _nothing(2) for m in models]
-    ranges, colors, (nodes, rest_lengths, compliances) = _by_color(edges)
-    objects.edge_ranges, objects.edge_colors, objects.edges = array(ranges, int), array(colors, int), array(nodes, wp.vec2i)
-    objects.edge_rest_lengths, objects.edge_compliances = array(rest_lengths, float), array(compliances, float)
+    lines = _lines_by_color(models)
+    objects.line_ranges, objects.line_colors = array(lines["ranges"], int), array(lines["colors"], int)
+    objects.line_edges, objects.line_nodes = array(lines["edges"], int), array(lines["nodes"], int)
+    objects.rest_lengths = array(lines["rest_lengths"], float)
+    objects.stretch_compliances = array(lines["compliances"], float)
 
     ranges, colors, (nodes, compliances) = _by_color([(model.bends, model.bend_compliances) for model in models])
     objects.bend_ranges, objects.bend_colors, objects.bends = array(ranges, int), array(colors, int), array(nodes, wp.vec3i)
@@ -117,8 +112,27 @@ def _join(parts: Sequence[np.ndarray], width: int) -> np.ndarray:
     return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0)
 
 
-def _nothing(width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.zeros((0, width), np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32)
+def _lines_by_color(models: Sequence[Model]) -> dict[str, np.ndarray]:
+    """Lay out the lines of all variants: `ranges` and `colors` as in `_by_color`, first edge of each line, nodes and columns."""
+    counts, colors, lines, columns, total = [], [], [], [], 0
+    for model in models:
+        order, offsets = color_constraints(model.lines)
+        sorted_lines = [model.lines[index] for index in order]
+        colors.append(offsets + total)
+        counts.append(len(offsets))
+        total += len(order)
+        lines += sorted_lines
+        number = {tuple(sorted(nodes)): edge for edge, nodes in enumerate(model.edges.tolist())}
+        edges = [number[tuple(sorted(pair))] for line in sorted_lines for pair in pairwise(line.tolist())]
+        columns.append((model.rest_lengths[edges], model.stretch_compliances[edges]))
+    return {
+        "ranges": _starts(counts),
+        "colors": np.concatenate(colors).astype(np.int32),
+        "edges": _starts([len(line) - 1 for line in lines]),
+        "nodes": np.concatenate(lines).astype(np.int32),
+        "rest_lengths": np.concatenate([rest_lengths for rest_lengths, _ in columns]),
+        "compliances": np.concatenate([compliances for _, compliances in columns]),
+    }
 
 
 def _by_color(variants: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
