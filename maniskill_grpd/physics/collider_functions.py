@@ -14,6 +14,10 @@ PRISM = wp.constant(int(ColliderKind.PRISM))
 SWEEP_STEPS = wp.constant(12)
 # How close to touching a sweep stops, as a fraction of the object's radius.
 SWEEP_TOLERANCE = wp.constant(0.02)
+# Halvings of the stretch of an edge that is searched for the point closest to a collider.
+SEARCH_STEPS = wp.constant(5)
+# Closest points in this part of an edge at either end are left to its nodes.
+EDGE_END = wp.constant(0.05)
 # Points further away than this from a mesh [m] do not feel it.
 MESH_REACH = wp.constant(0.5)
 
@@ -172,6 +176,46 @@ def signed_distance(
 
 
 @wp.func
+def closest_on_edge(
+    x_i: wp.vec3,
+    x_j: wp.vec3,
+    radius: float,
+    center: wp.vec3,
+    wxyz: wp.vec4,
+    collider: int,
+    kind: int,
+    size: wp.vec3,
+    num_vertices: int,
+    polygons: wp.array2d(dtype=wp.vec2),
+    mesh: wp.uint64,
+) -> float:
+    """Return the fraction t at which an edge is closest to a collider, 0 if it does not come near or an end does.
+
+    The signed distance of a convex collider is convex along the edge: its slope (the normal along the edge) tells on which side
+    the minimum lies, and bisection finds it.
+    """
+    rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
+    start = wp.quat_rotate_inv(rotation, x_i - center)
+    along = wp.quat_rotate_inv(rotation, x_j - x_i)
+    at = signed_distance(start + 0.5 * along, collider, kind, size, num_vertices, polygons, mesh)
+    if at[3] > radius + 0.5 * wp.length(along):
+        return 0.0
+    low = float(0.0)
+    high = float(1.0)
+    for _step in range(SEARCH_STEPS):
+        middle = 0.5 * (low + high)
+        at = signed_distance(start + middle * along, collider, kind, size, num_vertices, polygons, mesh)
+        if at[0] * along[0] + at[1] * along[1] + at[2] * along[2] > 0.0:
+            high = middle
+        else:
+            low = middle
+    t = 0.5 * (low + high)
+    if t < EDGE_END or t > 1.0 - EDGE_END:
+        return 0.0
+    return t
+
+
+@wp.func
 def project_collider(
     position: wp.vec3,
     previous: wp.vec3,
@@ -188,8 +232,8 @@ def project_collider(
 ) -> wp.vec3:
     """Keep a point at its radius from a collider, however far it moved in the substep.
 
-    The motion is swept by conservative advancement: steps of the signed distance cannot miss a surface. A point that ends behind
-    the surface it met, even beyond the far side of a thin plate, is brought back to the tangent plane where it met it.
+    The motion is swept by conservative advancement: steps of the signed distance cannot miss a surface. A point that ends inside, or
+    beyond the far side of a thin plate, is brought back to the tangent plane where it met the surface.
     """
     rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
     start = wp.quat_rotate_inv(rotation, previous - center)
@@ -211,7 +255,7 @@ def project_collider(
     normal = wp.vec3(at[0], at[1], at[2])
     depth = radius - at[3]
     met_normal = wp.vec3(met[0], met[1], met[2])
-    if wp.dot(normal, met_normal) < 0.0:
+    if wp.dot(normal, met_normal) < 0.0 or at[3] < 0.0:
         normal = met_normal
         depth = radius - (met[3] + wp.dot(met_normal, motion) * (1.0 - progress))
     if depth <= 0.0:

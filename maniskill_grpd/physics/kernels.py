@@ -11,7 +11,7 @@ from functools import cache
 
 import warp as wp
 
-from maniskill_grpd.physics.collider_functions import project_collider, project_table
+from maniskill_grpd.physics.collider_functions import closest_on_edge, project_collider, project_table
 from maniskill_grpd.physics.constraint_functions import (
     limit_gripper_targets,
     project_bend,
@@ -73,10 +73,10 @@ class Objects:
     hinge_weights: wp.array(dtype=wp.vec4)
     hinge_compliances: wp.array(dtype=float)
     geodesics: wp.array3d(dtype=float)  # through the material between all nodes, by variant
-    # Edges of all variants, chains too, sorted by colour: their middles touch obstacles.
-    sample_ranges: wp.array(dtype=int)
-    sample_colors: wp.array(dtype=int)
-    samples: wp.array(dtype=wp.vec2i)
+    # Edges that touch obstacles with all their length.
+    mesh_edge_ranges: wp.array(dtype=int)
+    mesh_edge_colors: wp.array(dtype=int)
+    mesh_edges: wp.array(dtype=wp.vec2i)
     # Triangles of cloth and segments of ropes, for contact of an object with itself.
     element_starts: wp.array(dtype=int)
     elements: wp.array(dtype=wp.vec3i)
@@ -148,7 +148,7 @@ def project_colliders(
 
 
 @wp.func
-def project_edge_middle(
+def project_edge(
     world: int,
     edge: wp.vec2i,
     radius: float,
@@ -158,16 +158,35 @@ def project_edge_middle(
     previous: wp.array2d(dtype=wp.vec3),
     positions: wp.array2d(dtype=wp.vec3),
 ):
-    """Keep the middle of an edge out of all colliders: its nodes move by w_i / (w_i + w_j) of twice the correction."""
-    w_i = weights[world, edge[0]]
-    w_j = weights[world, edge[1]]
+    """Keep the point x = (1 - t) x_i + t x_j of an edge that is closest to a collider out of it.
+
+    A correction d of the point moves its nodes by w_i (1 - t) d / s and w_j t d / s with s = w_i (1 - t)^2 + w_j t^2.
+    """
+    i = edge[0]
+    j = edge[1]
+    w_i = weights[world, i]
+    w_j = weights[world, j]
     if w_i + w_j > 0.0:
-        middle = 0.5 * (positions[world, edge[0]] + positions[world, edge[1]])
-        start = 0.5 * (previous[world, edge[0]] + previous[world, edge[1]])
-        move = project_colliders(world, middle, start, radius, friction, obstacles) - middle
-        if wp.dot(move, move) > 0.0:
-            positions[world, edge[0]] = positions[world, edge[0]] + move * (2.0 * w_i / (w_i + w_j))
-            positions[world, edge[1]] = positions[world, edge[1]] + move * (2.0 * w_j / (w_i + w_j))
+        for k in range(obstacles.kinds.shape[0]):
+            if obstacles.active[world, k]:
+                x_i = positions[world, i]
+                x_j = positions[world, j]
+                t = closest_on_edge(
+                    x_i, x_j, radius, obstacles.positions[world, k], obstacles.rotations[world, k], k, obstacles.kinds[k],
+                    obstacles.sizes[world, k], obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+                )  # fmt: skip
+                if t > 0.0:
+                    point = x_i * (1.0 - t) + x_j * t
+                    start = previous[world, i] * (1.0 - t) + previous[world, j] * t
+                    moved = project_collider(
+                        point, start, radius, friction, obstacles.positions[world, k], obstacles.rotations[world, k],
+                        k, obstacles.kinds[k], obstacles.sizes[world, k],
+                        obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+                    )  # fmt: skip
+                    share = w_i * (1.0 - t) * (1.0 - t) + w_j * t * t
+                    if share > 0.0:
+                        positions[world, i] = x_i + (moved - point) * (w_i * (1.0 - t) / share)
+                        positions[world, j] = x_j + (moved - point) * (w_j * t / share)
 
 
 @cache
@@ -344,10 +363,10 @@ def build_step_kernel(features: Features) -> wp.Kernel:
                 synchronize_block()
 
             if wp.static(features.colliders):
-                for color in range(objects.sample_ranges[variant], objects.sample_ranges[variant + 1] - 1):
-                    for c in range(objects.sample_colors[color] + lane, objects.sample_colors[color + 1], lanes):
-                        project_edge_middle(
-                            world, objects.samples[c], radius, friction[world], obstacles, weights, previous, positions
+                for color in range(objects.mesh_edge_ranges[variant], objects.mesh_edge_ranges[variant + 1] - 1):
+                    for c in range(objects.mesh_edge_colors[color] + lane, objects.mesh_edge_colors[color + 1], lanes):
+                        project_edge(
+                            world, objects.mesh_edges[c], radius, friction[world], obstacles, weights, previous, positions
                         )
                     synchronize_block()
 

@@ -11,7 +11,7 @@ import warp as wp
 
 # Candidates that one node or segment can own, and contacts that one node can take part in.
 SLOTS = wp.constant(8)
-MAX_CONTACTS_PER_NODE = wp.constant(48)
+MAX_CONTACTS_PER_NODE = wp.constant(96)
 # Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
 MAX_APPROACH = wp.constant(0.04)
 
@@ -149,7 +149,8 @@ def find_candidates(
         bound = reach + element_radii[first_element + element]
         distance2 = wp.dot(offset, offset)
         if distance2 < (bound + MAX_APPROACH) * (bound + MAX_APPROACH):
-            bound += wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
+            approach = wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
+            bound += approach
             apart = geodesics[variant, owner, corner[0]]
             apart = wp.min(apart, wp.min(geodesics[variant, owner, corner[1]], geodesics[variant, owner, corner[2]]))
             if distance2 < bound * bound and apart > exclusion:
@@ -165,7 +166,8 @@ def find_candidates(
                     for other in range(1, SLOTS):
                         if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
                             slot = other
-                if num_found < SLOTS or length < contact_gaps[world, first_slot + slot]:
+                has_place = num_found < SLOTS or length < contact_gaps[world, first_slot + slot]
+                if length < reach + approach and has_place:
                     contact_nodes[world, first_slot + slot] = nodes
                     contact_gaps[world, first_slot + slot] = length
                     contact_sides[world, first_slot + slot] = wp.where(

@@ -63,9 +63,10 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.hinge_ranges, objects.hinge_colors, objects.hinges = array(ranges, int), array(colors, int), array(nodes, wp.vec4i)
     objects.hinge_weights, objects.hinge_compliances = array(weights, wp.vec4), array(compliances, float)
 
-    samples = [(model.edges if model.mesh_edges is None else model.mesh_edges,) for model in models]
-    ranges, colors, (nodes,) = _by_color(samples)
-    objects.sample_ranges, objects.sample_colors, objects.samples = array(ranges, int), array(colors, int), array(nodes, wp.vec2i)
+    mesh_edges = [(model.edges if model.mesh_edges is None else model.mesh_edges,) for model in models]
+    ranges, colors, (nodes,) = _by_color(mesh_edges)
+    objects.mesh_edge_ranges, objects.mesh_edge_colors = array(ranges, int), array(colors, int)
+    objects.mesh_edges = array(nodes, wp.vec2i)
 
     elements = [_elements(model) for model in models]
     objects.element_starts = array(_starts([len(nodes) for nodes, _ in elements]), int)
