@@ -39,7 +39,7 @@ def settle(solver: Solver, seconds: float) -> None:
 def stretch_softening(model: Model, dt: float) -> float:
     """Return a bound of the relative extra compliance that one coloured sweep leaves in stretch.
 
-    A constraint does not see the projections that follow. In a smooth state those add up to -A_ii lambda_i, A = J W J^T, with half
+    A constraint does not see the projections that follow. In a smooth state those add up to -A_ii lambda_i, A = J W J^T, half
     of them following on average: extra compliance A_ii / 2 = w against 1 / (k dt^2); twice that for the first colour. Lines of
     edges that are solved at once have less.
     """
@@ -235,20 +235,21 @@ def drape_coefficient(model: Model) -> float:
 
 
 def cusick(test: str) -> Iterator[Check]:
-    """Cusick drape, a disc of cloth over a smaller disc: no closed form but the limits 0 (limp) and 1 (rigid), and monotone in B."""
+    """Cusick drape, a disc of cloth over a smaller one: between 0 (limp) and 1 (rigid), and it grows with the rigidity."""
     from maniskill_grpd.physics import circle_outline
 
     values = [
         drape_coefficient(cloth(circle_outline(0.15), num_nodes=300, material=ClothMaterial(bend_stiffness=bend, damping=4.0)))
         for bend in (1e-6, 1e-4, 1e-2)
     ]
+    series = ", ".join(f"{value:.2f}" for value in values)
     smallest_rise = min(later - earlier for earlier, later in zip(values, values[1:], strict=False))
     yield Check(
         test=test, what="drape coefficient at B = 1e-2 N m (Gamma = 0.04 for the 6 cm that overhang)", equation="1 (rigid)",
         expected=1.0, measured=values[-1], tolerance=0.1, why="drop c Gamma / 8 hardly shortens the shadow; faceted rim",
     )  # fmt: skip
     yield Check(
-        test=test, what=f"smallest rise of the drape coefficient over B = 1e-6, 1e-4, 1e-2 N m ({', '.join(f'{v:.2f}' for v in values)})",
+        test=test, what=f"smallest rise of the drape coefficient over B = 1e-6, 1e-4, 1e-2 N m ({series})",
         equation="> 0", expected=max(smallest_rise, 0.0), measured=smallest_rise, tolerance=0.0, why="stiffer cloth drapes less",
     )  # fmt: skip
 

@@ -98,7 +98,7 @@ def overhang(test: str, *, friction: float) -> Iterator[Check]:
 
 
 def capstan(test: str, *, friction: float) -> Iterator[Check]:
-    """T2 / T1 = exp(mu phi): over a cylinder (phi = pi) the heavier end sinks if it pulls more than exp(mu pi) times the other."""
+    """T2 / T1 = exp(mu phi): over a cylinder (phi = pi) the heavier end sinks if it pulls exp(mu pi) times the other."""
     count, num_nodes, radius, drum, tail = 33, 97, 0.004, 0.1, 0.25
     closed_form = np.exp(friction * np.pi)
     ratios = np.linspace(0.8, 1.2, count) * closed_form

@@ -126,7 +126,7 @@ def spinning_rope(test: str, *, substeps: int) -> Iterator[Check]:
 
 
 def pendulum(test: str, *, degrees: float) -> Iterator[Check]:
-    """T / T0 = (2 / pi) K(sin^2(theta / 2)), T0 = 2 pi sqrt(L / g); small swings decay by omega^2 dt / 2, as in implicit Euler."""
+    """T / T0 = (2 / pi) K(sin^2(theta / 2)), T0 = 2 pi sqrt(L / g); small swings decay by omega^2 dt / 2 (implicit Euler)."""
     length, dt = 1.0, 2.5e-3
     material = RopeMaterial(linear_density=1e-3, stretch_stiffness=1e5, bend_stiffness=0.0, damping=0.0)
     start = np.radians(degrees)
