@@ -1,7 +1,8 @@
 """Batched XPBD physics of ropes and cloth in NVIDIA Warp.
 
 World-local coordinates, SI units, float32, right-handed with gravity as a per-world vector; quaternions are (w, x, y, z). `B`
-worlds, `N` nodes, `A` grippers, `K` colliders, `M` variants of the object. Knows numpy, torch and Warp; knows nothing of gymnasium or ManiSkill.
+worlds, `N` nodes, `A` grippers, `K` colliders, `M` variants of the object. Knows numpy, scipy, trimesh, torch and Warp; knows
+nothing of gymnasium or ManiSkill.
 """
 
 from maniskill_grpd.physics.cloth import ClothMaterial, cloth

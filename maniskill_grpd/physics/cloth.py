@@ -160,14 +160,13 @@ def _faces_of_edges(surface: trimesh.Trimesh) -> np.ndarray:
     return members
 
 
-def _fit_hinges(
-    points: np.ndarray, surface: trimesh.Trimesh, bend_stiffness: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _fit_hinges(points: np.ndarray, surface: trimesh.Trimesh, bend_stiffness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return hinges (H, 4), their weights (H, 4) and stiffnesses [N/m] that bend like a plate of the given rigidity [N m].
 
     The weights are the cotangent weights of isometric bending (Bergou et al. 2006): C = sum_k weight_k x_k is linear in the
     positions and vanishes for all in-plane strains. Rolled up along u with curvature kappa it measures kappa times
-    sum_k weight_k (u . x_k)^2 / 2. Free boundaries carry no moment: they are mirrored while fitting, and the mirrored hinges dropped.
+    sum_k weight_k (u . x_k)^2 / 2. Free boundaries carry no moment: they are
+    mirrored while fitting, and the mirrored hinges dropped.
     """
     if bend_stiffness == 0.0:
         return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0)
@@ -176,7 +175,9 @@ def _fit_hinges(
     rim, rim_face = surface.edges_unique[boundary], faces_of_edges[boundary, 0]
     apex = np.array([np.setdiff1d(surface.faces[f], e)[0] for f, e in zip(rim_face, rim, strict=True)])
     hinges = np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])
-    corners = np.concatenate([points[hinges], np.stack([points[rim[:, 0]], points[rim[:, 1]], points[apex], points[apex]], axis=1)])
+    corners = np.concatenate(
+        [points[hinges], np.stack([points[rim[:, 0]], points[rim[:, 1]], points[apex], points[apex]], axis=1)]
+    )
     mirrored = corners[len(hinges) :]
     along = mirrored[:, 1] - mirrored[:, 0]
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)

@@ -232,8 +232,8 @@ def project_collider(
 ) -> wp.vec3:
     """Keep a point at its radius from a collider, however far it moved in the substep.
 
-    The motion is swept by conservative advancement: steps of the signed distance cannot miss a surface. A point that ends inside, or
-    beyond the far side of a thin plate, is brought back to the tangent plane where it met the surface.
+    The motion is swept by conservative advancement: steps of the signed distance cannot miss a surface. A point that ends
+    inside, or beyond the far side of a thin plate, is brought back to the tangent plane where it met the surface.
     """
     rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
     start = wp.quat_rotate_inv(rotation, previous - center)

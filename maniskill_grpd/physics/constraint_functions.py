@@ -1,7 +1,7 @@
 """Projections of the constraints inside an object, called by the fused kernel for one constraint of one world.
 
-`weights` are inverse masses as the constraints see them, 0 for held and fixed nodes. An impulse lambda * grad C moves a free node by
-weight * impulse; a held node stays, and the impulse is added to `reactions`, from which the force on its gripper follows.
+`weights` are inverse masses as the constraints see them, 0 for held and fixed nodes. An impulse lambda * grad C moves a free node
+by weight * impulse; a held node stays, and the impulse is added to `reactions`, from which the force on its gripper follows.
 """
 
 import warp as wp

@@ -1,9 +1,9 @@
 """Stiffnesses of springs and hinges that make a mesh behave like a sheet.
 
-Springs and hinges store 1/2 k a(u)^2 when the sheet is strained, or bent, along a direction u in its plane. Summed over a triangle
-and divided by its area that is a trigonometric polynomial of degree four in the angle of u, and a sheet prescribes its five
-coefficients. The stiffnesses k >= 0 are the least-squares solution over all triangles; a square grid and a triangular lattice
-meet an isotropic sheet exactly, at every resolution.
+Springs and hinges store 1/2 k a(u)^2 when the sheet is strained, or bent, along a direction u in its plane. Summed over a
+triangle and divided by its area that is a trigonometric polynomial of degree four in the angle of u, and a sheet prescribes its
+five coefficients. The stiffnesses k >= 0 are the least-squares solution over all triangles; a square grid and a triangular
+lattice meet an isotropic sheet exactly, at every resolution.
 """
 
 from __future__ import annotations

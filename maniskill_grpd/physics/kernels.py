@@ -263,7 +263,7 @@ def build_step_kernel(features: Features) -> wp.Kernel:
         synchronize_block()
 
         for substep in range(num_substeps):
-            if wp.static(features.self_contact):
+            if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
                 # Find what may touch until the next search, and tell every node of its contacts.
                 if substep % search_interval == 0:
                     for node in range(lane, num_nodes, lanes):
@@ -274,7 +274,8 @@ def build_step_kernel(features: Features) -> wp.Kernel:
                             world, owner, objects.element_starts[variant],
                             objects.element_starts[variant + 1] - objects.element_starts[variant],
                             objects.is_rope[variant], 3.0 * radius, objects.exclusions[variant],
-                            2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii, objects.geodesics, positions, velocities,
+                            2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii,
+                            objects.geodesics, positions, velocities,
                             contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
                         )  # fmt: skip
                         register_contacts(
@@ -321,7 +322,8 @@ def build_step_kernel(features: Features) -> wp.Kernel:
             if wp.static(features.tethers):
                 for node in range(lane, num_nodes, lanes):
                     project_tethers(
-                        world, node, variant, objects.max_stretch[variant], objects.geodesics, gripper_nodes, weights, positions, tether_impulses,
+                        world, node, variant, objects.max_stretch[variant], objects.geodesics, gripper_nodes,
+                        weights, positions, tether_impulses,
                     )  # fmt: skip
                 synchronize_block()
 

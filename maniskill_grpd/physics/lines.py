@@ -55,9 +55,7 @@ def _match_straightest(points: np.ndarray, edges: np.ndarray) -> dict[tuple[int,
     return continuation
 
 
-def _follow(
-    edge: int, start: int, edges: np.ndarray, continuation: dict[tuple[int, int], int], unused: np.ndarray
-) -> np.ndarray:
+def _follow(edge: int, start: int, edges: np.ndarray, continuation: dict[tuple[int, int], int], unused: np.ndarray) -> np.ndarray:
     """Walk along a line from a node over an edge until it ends or would meet itself."""
     line = [start]
     while True:

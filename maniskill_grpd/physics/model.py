@@ -58,7 +58,7 @@ class Model:
     hinge_compliances: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     """Inverse stiffnesses of the hinges, (H,) float32 [m/N]."""
     max_strain: float = np.inf
-    """Strain at which the weave locks: held nodes keep all others within (1 + max_strain) of their distance through the material."""
+    """Strain at which the weave locks: held nodes keep all others within (1 + max_strain) of their distance through the cloth."""
     geodesics: np.ndarray | None = None
     """Distances through the material, (N, N) float32 [m]; None where edges alone define them."""
     default_substeps: int = 20

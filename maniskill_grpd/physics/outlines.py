@@ -39,7 +39,7 @@ def circle_outline(radius: float, center: tuple[float, float] = (0.0, 0.0), num_
 
 
 def l_shape_outline(size: float, width: float | None = None) -> np.ndarray:
-    """Return an L of two arms, (6, 2) [m], in a square box of the given size about the origin; arms are half as wide by default."""
+    """Return an L of two arms, (6, 2) [m], in a square box about the origin; by default arms are half as wide as the box."""
     width = 0.5 * size if width is None else width
     corners = [[0.0, 0.0], [size, 0.0], [size, width], [width, width], [width, size], [0.0, size]]
     return np.array(corners) - 0.5 * size

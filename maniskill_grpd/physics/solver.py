@@ -259,8 +259,8 @@ class Solver:
     def set_closed(self, closed: torch.Tensor) -> None:
         """Open and close grippers where they are, between two steps and without synchronising with the host.
 
-        A gripper that closes catches the nearest free node within `capture_radius`, and all others within `patch_radius`, and holds
-        them at their places relative to it. A gripper that opens lets go of what it held. The others are left as they are.
+        A gripper that closes catches the nearest free node within `capture_radius`, and all others within `patch_radius`, and
+        holds them at their places relative to it. A gripper that opens lets go of what it held. The others are left as they are.
 
         Args:
             closed: Which grippers are closed from now on, (B, A) bool.
@@ -333,7 +333,10 @@ class Solver:
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that the next step depends on, each as a copy (B, D) in float32."""
-        return {name: tensor.reshape(self.num_worlds, -1).float() for name, tensor in self._state_tensors.items()}
+        return {
+            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True)
+            for name, tensor in self._state_tensors.items()
+        }
 
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
         """Restore what `state()` returned, for all worlds or for `world_idx` (b,) with rows (b, D).
@@ -355,10 +358,10 @@ class Solver:
 
     @property
     def _state_tensors(self) -> dict[str, torch.Tensor]:
-        names = (
-            "positions velocities inverse_masses gravity plane friction damping stretch_scale bend_scale gripper_positions "
-            "gripper_targets gripper_nodes closed holder hold_offsets leashes frozen"
-        ).split()
+        names = [
+            "positions", "velocities", "inverse_masses", "gravity", "plane", "friction", "damping", "stretch_scale", "bend_scale",
+            "gripper_positions", "gripper_targets", "gripper_nodes", "closed", "holder", "hold_offsets", "leashes", "frozen",
+        ]  # fmt: skip
         if len(self.models) > 1:
             names.append("variants")
         if self.colliders:
@@ -459,8 +462,8 @@ class Solver:
             (self.damping, wp.float32), (self.stretch_scale, wp.float32), (self.bend_scale, wp.float32),
             (self.inverse_masses, wp.float32), (self.holder, wp.int32), (self.hold_offsets, wp.vec3),
             (self.gripper_nodes, wp.int32), (self.leashes, wp.float32),
-            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3), (self.velocities, wp.vec3),
-            (self.frozen, wp.bool), (self.gripper_forces, wp.vec3),
+            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3),
+            (self.velocities, wp.vec3), (self.frozen, wp.bool), (self.gripper_forces, wp.vec3),
             (self._previous, wp.vec3), (self._backup, wp.vec3), (self._weights, wp.float32), (self._reactions, wp.vec3),
             (self._tether_impulses, wp.vec3), (self._directions, wp.vec3), (self._upper, wp.float32),
             (self._multipliers, wp.float32),

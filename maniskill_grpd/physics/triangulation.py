@@ -174,9 +174,7 @@ def _alternate_diagonals(points: np.ndarray, faces: np.ndarray, spacing: float) 
     parity = np.round((points - points.min(axis=0)) / size * np.round(size / spacing)).sum(axis=1) % 2
     flipped = np.flatnonzero(is_square & (parity[diagonal[:, 0]] == 1))
     faces = faces.copy()
-    for (first, second), (a, b), (c, d) in zip(
-        surface.face_adjacency[flipped], diagonal[flipped], across[flipped], strict=True
-    ):
+    for (first, second), (a, b), (c, d) in zip(surface.face_adjacency[flipped], diagonal[flipped], across[flipped], strict=True):
         for face, corners in ((first, (c, d, a)), (second, (d, c, b))):
             faces[face] = corners if signed_area(points[list(corners)]) > 0.0 else corners[::-1]
     return faces

@@ -29,7 +29,7 @@ def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self
 
 
 def geodesic_table(models: Sequence[Model]) -> np.ndarray:
-    """Return the distance through the material from every node (row) to every other, (M, N, N) float32 [m], padded with infinity."""
+    """Return the distance through the object from every node (row) to every other, (M, N, N) float32 [m], inf in the padding."""
     width = max(model.num_nodes for model in models)
     table = np.full((len(models), width, width), np.inf, dtype=np.float32)
     for index, model in enumerate(models):

@@ -130,7 +130,7 @@ def test_cloth_does_not_fall_through_a_thin_plate(thickness):
 
 @pytest.mark.parametrize(("friction", "slides"), [(0.5, True), (0.7, False)])
 def test_coulomb_on_a_tilted_box(friction, slides):
-    """tan 31 degrees = 0.6: slides with g (sin - mu cos) below that coefficient, sticks above."""
+    """Tan 31 degrees = 0.6: slides with g (sin - mu cos) below that coefficient, sticks above."""
     angle = np.deg2rad(31.0)
     model = rope([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0]], num_nodes=11, material=RopeMaterial(friction=friction, damping=0.0))
     solver = Solver(model, 1, 1, colliders=[box(2.0, 0.5, 0.1)])

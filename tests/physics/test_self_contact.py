@@ -107,7 +107,7 @@ def test_self_contact_keeps_momentum_and_is_reproducible():
     assert (after - before).norm() < 2e-4 * scale
     assert torch.equal(*results)
     # They met and did not pass: what was above is above.
-    middle = (np.abs(model.rest_positions[:, 0]) > 0.06)
+    middle = np.abs(model.rest_positions[:, 0]) > 0.06
     above = results[0][0, middle & (model.rest_positions[:, 0] > 0), 2].mean()
     below = results[0][0, middle & (model.rest_positions[:, 0] < 0), 2].mean()
     assert above > below

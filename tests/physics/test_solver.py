@@ -22,7 +22,7 @@ def held_solver(num_worlds: int, **options) -> Solver:
 
 
 def random_moves(num_worlds: int, num_steps: int, seed: int = 0) -> torch.Tensor:
-    """Full-speed gripper moves that keep their direction for ten steps, (T, B, A, 3); a world's moves depend on its index only."""
+    """Full-speed gripper moves that keep their direction for ten steps, (T, B, A, 3), the same for a world in any batch."""
     moves = []
     for world in range(num_worlds):
         generator = torch.Generator().manual_seed(1000 * seed + world)
@@ -85,6 +85,17 @@ def test_state_round_trip_continues_bitwise():
     drive(original, moves[15:])
     drive(copy, moves[15:])
     assert_same_state(original, copy)
+
+
+def test_a_saved_state_does_not_change_with_the_solver():
+    solver = held_solver(1)
+    saved, rest = solver.state(), solver.model.rest_positions.copy()
+    expected = {name: value.clone() for name, value in saved.items()}
+    drive(solver, random_moves(1, 5))
+    assert all(torch.equal(saved[name], expected[name]) for name in saved)
+    np.testing.assert_array_equal(solver.model.rest_positions, rest)
+    solver.set_state(saved)
+    assert torch.equal(solver.positions[0], torch.as_tensor(rest))
 
 
 def test_step_commutes_with_moving_the_whole_scene():
@@ -204,7 +215,7 @@ def test_reset_refuses_wrong_shapes_and_non_finite_positions():
 
 @pytest.mark.parametrize(
     "options",
-    [{"linear_density": 0.0}, {"stretch_stiffness": -1.0}, {"bend_stiffness": float("nan")}, {"friction": -0.1}, {"damping": -1.0}],
+    [{"linear_density": 0.0}, {"stretch_stiffness": -1.0}, {"bend_stiffness": np.nan}, {"friction": -0.1}, {"damping": -1.0}],
 )
 def test_material_refuses_non_physical_values(options):
     with pytest.raises(ValueError, match=next(iter(options))):
