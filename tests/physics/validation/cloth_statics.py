@@ -134,7 +134,7 @@ def sheet_cantilever(test: str, *, gamma: float, along: int = 12) -> Iterator[Ch
     ):
         yield Check(
             test=test, what=f"{name} of an overhanging strip, Gamma = {actual:.3g}, {along} x {across} nodes",
-            equation="heavy elastica", expected=expected, measured=measured,
+            equation="heavy elastica (strip of cloth)", expected=expected, measured=measured,
             tolerance=lumping * max(expected, 0.2) + abs(slope) * softening + 1e-3 + drift_bound(solver), why=why,
         )  # fmt: skip
     if test == "T5":

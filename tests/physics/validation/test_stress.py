@@ -32,7 +32,10 @@ def test_a_world_beside_an_absurd_one_is_untouched():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("self_collision", [False, True])
-def test_ten_thousand_random_and_absurd_steps(self_collision):
-    """10,000 control steps of every shape, with and without hole, at 49 to 1,225 nodes, over every collider."""
-    solver = stress_solver(all_models((49, 225, 1225)), 39, self_collision=self_collision)
-    run_stress(solver, 10_000, absurd_every=7)
+@pytest.mark.parametrize(("num_nodes", "num_steps"), [(49, 10_000), (225, 770), (1225, 770)])
+def test_ten_thousand_random_and_absurd_steps(num_nodes, num_steps, self_collision):
+    """10,000 control steps of all shapes, with and without hole, over every collider; 10,000 world-steps at finer resolutions."""
+    solver = stress_solver(all_models((num_nodes,)), 13, self_collision=self_collision)
+    result = run_stress(solver, num_steps, absurd_every=7)
+    assert result["world_steps"] >= 10_000
+    assert result["frozen"] > 0
