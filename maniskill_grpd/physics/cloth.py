@@ -95,7 +95,7 @@ def cloth(
     masses = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3.0, 3), len(mesh.points)) * material.area_density
     edges, stiffness = _fit_springs(mesh.points, surface, material)
     rest_lengths = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    hinges, weights, hinge_stiffness = _fit_hinges(mesh.points, surface, material.bend_stiffness)
+    hinges, weights, hinge_stiffness, triples, row_stiffness = _fit_bending(mesh.points, surface, material.bend_stiffness)
     geodesics = distances_in_sheet(mesh.points, mesh.loops)
     width = float(np.sqrt(len(mesh.points)))
     return Model(
@@ -107,8 +107,8 @@ def cloth(
         edges=edges.astype(np.int32),
         rest_lengths=rest_lengths.astype(np.float32),
         stretch_compliances=(1.0 / stiffness).astype(np.float32),
-        bends=np.zeros((0, 3), np.int32),
-        bend_compliances=np.zeros(0, np.float32),
+        bends=triples.astype(np.int32),
+        bend_compliances=(1.0 / row_stiffness).astype(np.float32),
         arc=(geodesics[mesh.corners].min(axis=0) / geodesics.max()).astype(np.float32),
         length=float(np.linalg.norm(np.ptp(mesh.points, axis=0))),
         node_sets=_name_nodes(mesh),
@@ -148,6 +148,7 @@ def _fit_springs(points: np.ndarray, surface: trimesh.Trimesh, material: ClothMa
     length = np.linalg.norm(vector, axis=1, keepdims=True)
     form = np.column_stack([vector**2, vector[:, 0] * vector[:, 1]]) / length
     order = np.lexsort(edges.T[::-1])
+    members = np.where(members < 0, members[:, ::-1], members)  # a boundary spring belongs to its one triangle alone
     return edges[order], fit_stiffness(form, members, surface.area_faces, target)[order]
 
 
@@ -160,41 +161,107 @@ def _faces_of_edges(surface: trimesh.Trimesh) -> np.ndarray:
     return members
 
 
-def _fit_hinges(points: np.ndarray, surface: trimesh.Trimesh, bend_stiffness: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return hinges (H, 4), their weights (H, 4) and stiffnesses [N/m] that bend like a plate of the given rigidity [N m].
+def _fit_bending(
+    points: np.ndarray, surface: trimesh.Trimesh, bend_stiffness: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Fit constraints that bend like a plate of the given rigidity [N m].
 
-    The weights are the cotangent weights of isometric bending (Bergou et al. 2006): C = sum_k weight_k x_k is linear in the
-    positions and vanishes for all in-plane strains. Rolled up along u with curvature kappa it measures kappa times
-    sum_k weight_k (u . x_k)^2 / 2. Free boundaries carry no moment: they are
-    mirrored while fitting, and the mirrored hinges dropped.
+    Hinges have the cotangent weights of isometric bending (Bergou et al. 2006): C = sum_k weight_k x_k is linear in the positions
+    and vanishes for all in-plane strains. Rolled up along u with curvature kappa it measures kappa times
+    sum_k weight_k (u . x_k)^2 / 2. Where two right angles meet at a side, as in a square grid, a hinge sees but three nodes of
+    a row; triples x_p - 2 x_m + x_n of all rows and columns take their place, so that no node is left free to bend.
+
+    Free boundaries carry no moment: constraints that reach beyond them take part in the fit and are dropped.
+
+    Returns:
+        hinges: (H, 4), with weights (H, 4) and stiffnesses (H,) [N/m].
+        triples: (T, 3), with stiffnesses (T,) [N/m].
     """
     if bend_stiffness == 0.0:
-        return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0)
+        return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0), np.zeros((0, 3), np.int64), np.zeros(0)
     faces_of_edges = _faces_of_edges(surface)
+    corners, hinge_faces = _hinges_with_mirrored(points, surface, faces_of_edges)
+    weights = _hinge_weights(corners)
+    is_row = np.abs(weights[:, :2]).min(axis=1) < 1e-5 * np.abs(weights).max(axis=1)
+    num_inner = len(surface.face_adjacency)
+    kept = np.flatnonzero(~is_row)
+    centered = corners - corners.mean(axis=1, keepdims=True)
+    products = np.stack([centered[..., 0] ** 2, centered[..., 1] ** 2, centered[..., 0] * centered[..., 1]], axis=-1)
+    form = 0.5 * (weights[..., None] * products).sum(axis=1)[kept]
+    members = np.repeat(hinge_faces[kept], 2, axis=1)
+
+    triples, row_vectors, row_members = _rows(points, surface, faces_of_edges) if is_row.any() else _no_rows()
+    row_form = np.column_stack([row_vectors**2, row_vectors[:, 0] * row_vectors[:, 1]])
+    target = quartic_coefficients(np.array([[1.0, 1.0, 0.0]]))[0] * bend_stiffness
+    stiffness = fit_stiffness(
+        np.concatenate([form, row_form]), np.concatenate([members, row_members]), surface.area_faces, target
+    )
+    is_hinge = kept < num_inner
+    is_triple = triples[:, 2] >= 0
+    hinges = np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])[kept[is_hinge]]
+    hinge_stiffness, row_stiffness = stiffness[: len(kept)], stiffness[len(kept) :]
+    return hinges, weights[kept[is_hinge]], hinge_stiffness[is_hinge], triples[is_triple], row_stiffness[is_triple]
+
+
+def _hinges_with_mirrored(
+    points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners (H, 4, 2) and triangles (H, 2) of all hinges, then those of boundary edges with a mirrored triangle."""
     boundary = np.flatnonzero(faces_of_edges[:, 1] < 0)
     rim, rim_face = surface.edges_unique[boundary], faces_of_edges[boundary, 0]
     apex = np.array([np.setdiff1d(surface.faces[f], e)[0] for f, e in zip(rim_face, rim, strict=True)])
-    hinges = np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])
-    corners = np.concatenate(
-        [points[hinges], np.stack([points[rim[:, 0]], points[rim[:, 1]], points[apex], points[apex]], axis=1)]
-    )
-    mirrored = corners[len(hinges) :]
+    mirrored = np.stack([points[rim[:, 0]], points[rim[:, 1]], points[apex], points[apex]], axis=1)
     along = mirrored[:, 1] - mirrored[:, 0]
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
     height = ((mirrored[:, 2] - mirrored[:, 0]) * normal).sum(axis=1, keepdims=True)
     mirrored[:, 3] = mirrored[:, 2] - 2.0 * height * normal
+    inner = points[np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])]
+    faces = np.concatenate([surface.face_adjacency, np.column_stack([rim_face, np.full(len(rim), -1)])])
+    return np.concatenate([inner, mirrored]), faces
 
-    weights = _hinge_weights(corners)
-    centered = corners - corners.mean(axis=1, keepdims=True)
-    products = np.stack([centered[..., 0] ** 2, centered[..., 1] ** 2, centered[..., 0] * centered[..., 1]], axis=-1)
-    form = 0.5 * (weights[..., None] * products).sum(axis=1)
-    outside = np.column_stack([rim_face, np.full(len(rim), -1)])
-    members = np.concatenate([surface.face_adjacency, outside])
-    target = quartic_coefficients(np.array([[1.0, 1.0, 0.0]]))[0] * bend_stiffness
-    # The mirrored half of a boundary hinge lies outside, so only half of its energy counts.
-    form[len(hinges) :] *= np.sqrt(0.5)
-    stiffness = fit_stiffness(form, members, surface.area_faces, target)
-    return hinges, weights[: len(hinges)], stiffness[: len(hinges)]
+
+def _rows(
+    points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return triples of nodes in the rows and columns of a square grid.
+
+    Where a row ends at a node its last edge alone counts, with -1 as the third node.
+
+    Returns:
+        triples: (previous, middle, next), (T, 3).
+        vectors: From the middle to the next node, or to the previous one, (T, 2) [m].
+        members: Triangles at the two edges, those at the boundary twice, -1 beyond the end, (T, 4).
+    """
+    vector = points[surface.edges_unique[:, 1]] - points[surface.edges_unique[:, 0]]
+    straight = np.flatnonzero(np.abs(vector).min(axis=1) < 1e-6 * np.abs(vector).max(axis=1))
+    around: dict[tuple[int, int, int], tuple[int, int]] = {}  # (node, axis, sign) -> (neighbor, edge)
+    for edge in straight:
+        axis = int(np.abs(vector[edge]).argmax())
+        sign = int(np.sign(vector[edge, axis]))
+        first, second = (int(node) for node in surface.edges_unique[edge])
+        around[first, axis, sign], around[second, axis, -sign] = (second, edge), (first, edge)
+    triples, vectors, members = [], [], []
+    for (node, axis, sign), (neighbor, edge) in sorted(around.items()):
+        step = points[neighbor] - points[node]
+        other, other_edge = around.get((node, axis, -sign), (-1, -1))
+        is_even = other >= 0 and np.linalg.norm(points[other] - points[node] + step) < 1e-3 * np.linalg.norm(step)
+        faces = faces_of_edges[edge]
+        faces = np.where(faces < 0, faces[::-1], faces)
+        if is_even and sign > 0:
+            other_faces = faces_of_edges[other_edge]
+            triples.append([other, node, neighbor])
+            members.append([*faces, *np.where(other_faces < 0, other_faces[::-1], other_faces)])
+        elif not is_even:
+            triples.append([neighbor, node, -1])
+            members.append([*faces, -1, -1])
+        else:
+            continue
+        vectors.append(step)
+    return np.array(triples), np.array(vectors), np.array(members)
+
+
+def _no_rows() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.zeros((0, 3), np.int64), np.zeros((0, 2)), np.zeros((0, 4), np.int64)
 
 
 def _hinge_weights(corners: np.ndarray) -> np.ndarray:

@@ -36,7 +36,8 @@ def fit_stiffness(form: np.ndarray, members: np.ndarray, areas: np.ndarray, targ
 
     Args:
         form: Quadratic form of each spring or hinge as (S_xx, S_yy, S_xy), (C, 3).
-        members: The one or two triangles that each belongs to, (C, 2) int, -1 for none; two share it equally.
+        members: Triangles that share the energy of each equally, (C, S) int; -1 for one that is missing beyond a boundary, whose
+            share is then lost.
         areas: Areas of the triangles, (F,) [m^2].
         target: Coefficients of the sheet's stiffness per area (see `quartic_coefficients`), (5,).
 
@@ -45,13 +46,12 @@ def fit_stiffness(form: np.ndarray, members: np.ndarray, areas: np.ndarray, targ
     """
     expanded = quartic_coefficients(form)
     scale = target[0] * areas.mean() / expanded[:, 0]  # unknowns of order one
-    share = np.where(members.min(axis=1) < 0, 1.0, 0.5)
-    num_constraints = len(form)
+    num_constraints, num_shares = members.shape
     rows, columns, values = [], [], []
-    for side in range(2):
+    for side in range(num_shares):
         index = np.flatnonzero(members[:, side] >= 0)
         face = members[index, side]
-        weight = (share * scale)[index] / (np.sqrt(areas[face] * areas.mean()) * target[0])
+        weight = scale[index] / (num_shares * np.sqrt(areas[face] * areas.mean()) * target[0])
         for term in range(5):
             rows.append(5 * face + term)
             columns.append(index)

@@ -79,7 +79,8 @@ def _place_points(outline: np.ndarray, holes: list[np.ndarray], divisions: int) 
         edge = outline[(corner[0] + 1) % len(outline)] - outline[corner[0]] if 2 < len(corner) == len(outline) else None
         length = np.linalg.norm(edge) if edge is not None else _perimeter(outline) / 6.0
         spacing = float(length / divisions)
-    boundaries = [_sample_boundary(polygon, spacing) for polygon in (outline, *holes)]
+    sides = step if rectilinear else np.full(2, spacing)
+    boundaries = [_sample_boundary(outline, sides), *(_sample_boundary(hole, np.full(2, spacing)) for hole in holes)]
     if rectilinear:
         low, high = outline.min(axis=0), outline.max(axis=0)
         axes = [np.linspace(low[k], high[k], int(counts[k]) + 1) for k in range(2)]
@@ -103,18 +104,19 @@ def _perimeter(polygon: np.ndarray) -> float:
     return float(np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1).sum())
 
 
-def _sample_boundary(polygon: np.ndarray, spacing: float) -> np.ndarray:
-    """Place points at about `spacing` along a polygon (P, 2), with one on each corner."""
+def _sample_boundary(polygon: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    """Place points along a polygon (P, 2), with one on each corner, at about `spacing` for sides mainly along x and along y."""
     corners = corner_indices(polygon)
     if len(corners) == 0:
         closed = np.concatenate([polygon, polygon[:1]])
-        return resample_polyline(closed, max(6, round(_perimeter(polygon) / spacing)) + 1)[:-1]
+        return resample_polyline(closed, max(6, round(_perimeter(polygon) / spacing.max())) + 1)[:-1]
     parts = []
     for start, end in zip(corners, np.roll(corners, -1), strict=True):
         steps = (end - start) % len(polygon) or len(polygon)
         side = polygon[(start + np.arange(steps + 1)) % len(polygon)]
         length = np.linalg.norm(np.diff(side, axis=0), axis=1).sum()
-        parts.append(resample_polyline(side, max(1, round(length / spacing)) + 1)[:-1])
+        step = spacing[np.abs(side[-1] - side[0]).argmax()]
+        parts.append(resample_polyline(side, max(1, round(length / step)) + 1)[:-1])
     return np.concatenate(parts)
 
 

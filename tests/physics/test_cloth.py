@@ -86,8 +86,17 @@ def test_shear_stiffness_is_met_on_a_square_grid(shear):
     assert stiffness(0, 0, 0, 0) - stiffness(0, 0, 1, 1) ** 2 / stiffness(1, 1, 1, 1) == pytest.approx(100.0, rel=1e-3)
 
 
-def test_hinges_ignore_strain_and_measure_curvature():
-    model = cloth(hexagon_outline(0.2), [circle_outline(0.04)], num_nodes=150, material=ClothMaterial(bend_stiffness=2e-5))
+@pytest.mark.parametrize(
+    ("outline", "holes"),
+    [
+        (hexagon_outline(0.2), []),
+        (hexagon_outline(0.2), [circle_outline(0.04)]),
+        (square_outline(0.4), []),
+        (l_shape_outline(0.4), []),
+    ],
+)
+def test_bending_ignores_strain_and_is_as_stiff_as_the_material(outline, holes):
+    model = cloth(outline, holes, num_nodes=225, material=ClothMaterial(bend_stiffness=2e-5))
     rest = model.rest_positions.astype(np.float64)
     sheared = rest @ np.random.default_rng(0).normal(size=(3, 3))
     strain = np.einsum("hk,hkd->hd", model.hinge_weights, sheared[model.hinges])
@@ -97,7 +106,9 @@ def test_hinges_ignore_strain_and_measure_curvature():
         along = rest[:, 0] * np.cos(angle) + rest[:, 1] * np.sin(angle)
         bent = rest + np.outer(0.5 * 0.1 * along**2, [0.0, 0.0, 1.0])  # curvature 0.1 / m
         curvature = np.einsum("hk,hkd->hd", model.hinge_weights, bent[model.hinges])
-        energies.append(0.5 * ((curvature**2).sum(axis=1) / model.hinge_compliances).sum())
+        energy = 0.5 * ((curvature**2).sum(axis=1) / model.hinge_compliances).sum()
+        rows = bent[model.bends] * np.array([[1.0], [-2.0], [1.0]])
+        energies.append(energy + 0.5 * ((rows.sum(axis=1) ** 2).sum(axis=1) / model.bend_compliances).sum())
     area = model.masses.sum() / ClothMaterial().area_density
     # Triangles at a free boundary lack one of their hinges: the rim of one spacing counts half.
     np.testing.assert_allclose(energies, 0.5 * 2e-5 * 0.1**2 * area, rtol=0.15)
