@@ -20,7 +20,9 @@ from maniskill_grpd.physics.constraint_functions import (
     project_tethers,
 )
 from maniskill_grpd.physics.self_contact_functions import (
+    BLOCK,
     SLOTS,
+    bound_block,
     compute_contact_impulse,
     count_active,
     find_candidates,
@@ -113,6 +115,8 @@ class SelfContacts:
     of_node: wp.array3d(dtype=int)
     num_of_node: wp.array2d(dtype=int)
     num_active: wp.array2d(dtype=int)
+    block_spheres: wp.array2d(dtype=wp.vec4)
+    block_speeds: wp.array2d(dtype=float)
 
 
 @wp.func_native(
@@ -268,15 +272,22 @@ def build_step_kernel(features: Features) -> wp.Kernel:
                 if substep % search_interval == 0:
                     for node in range(lane, num_nodes, lanes):
                         contacts.num_of_node[world, node] = 0
+                    first_element = objects.element_starts[variant]
+                    num_elements = objects.element_starts[variant + 1] - first_element
+                    for block in range(lane, (num_elements + BLOCK - 1) // BLOCK, lanes):
+                        bound_block(
+                            world, block, first_element, num_elements, objects.elements, objects.element_radii,
+                            positions, velocities, contacts.block_spheres, contacts.block_speeds,
+                        )  # fmt: skip
                     synchronize_block()
                     for owner in range(lane, objects.owner_counts[variant], lanes):
                         find_candidates(
-                            world, owner, objects.element_starts[variant],
-                            objects.element_starts[variant + 1] - objects.element_starts[variant],
-                            objects.is_rope[variant], 3.0 * radius, objects.exclusions[variant],
+                            world, owner, first_element,
+                            num_elements, objects.is_rope[variant], 3.0 * radius, objects.exclusions[variant],
                             2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii,
                             objects.geodesics, positions, velocities,
                             contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
+                            contacts.block_spheres, contacts.block_speeds,
                         )  # fmt: skip
                         register_contacts(
                             world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node

@@ -12,6 +12,8 @@ import warp as wp
 # Candidates that one node or segment can own, and contacts that one node can take part in.
 SLOTS = wp.constant(8)
 MAX_CONTACTS_PER_NODE = wp.constant(96)
+# Elements in a block that a search passes over as a whole when all of it is too far away.
+BLOCK = wp.constant(16)
 # Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
 MAX_APPROACH = wp.constant(0.04)
 
@@ -111,6 +113,35 @@ def facing(world: int, nodes: wp.vec4i, is_rope: bool, positions: wp.array2d(dty
 
 
 @wp.func
+def bound_block(
+    world: int,
+    block: int,
+    first_element: int,
+    num_elements: int,
+    elements: wp.array(dtype=wp.vec3i),
+    element_radii: wp.array(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    block_speeds: wp.array2d(dtype=float),
+):
+    """Compute a sphere (centre, radius) about the first corners of the elements of a block, widened by their radii."""
+    start = block * BLOCK
+    end = wp.min(start + BLOCK, num_elements)
+    center = wp.vec3(0.0, 0.0, 0.0)
+    for element in range(start, end):
+        center += positions[world, elements[first_element + element][0]] / float(end - start)
+    radius = float(0.0)
+    speed = float(0.0)
+    for element in range(start, end):
+        corner = elements[first_element + element][0]
+        radius = wp.max(radius, wp.length(positions[world, corner] - center) + element_radii[first_element + element])
+        speed = wp.max(speed, wp.length(velocities[world, corner]))
+    block_spheres[world, block] = wp.vec4(center[0], center[1], center[2], radius)
+    block_speeds[world, block] = speed
+
+
+@wp.func
 def find_candidates(
     world: int,
     owner: int,
@@ -130,6 +161,8 @@ def find_candidates(
     contact_sides: wp.array2d(dtype=float),
     contact_gaps: wp.array2d(dtype=float),
     contact_counts: wp.array2d(dtype=int),
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    block_speeds: wp.array2d(dtype=float),
 ):
     """Fill the slots of a node (or segment) with the nearest elements that it may touch before the next search.
 
@@ -143,37 +176,42 @@ def find_candidates(
         start = owner + 1
     x = positions[world, owner]
     v = velocities[world, owner]
-    for element in range(start, num_elements):
-        corner = elements[first_element + element]
-        offset = x - positions[world, corner[0]]
-        bound = reach + element_radii[first_element + element]
-        distance2 = wp.dot(offset, offset)
-        if distance2 < (bound + MAX_APPROACH) * (bound + MAX_APPROACH):
-            approach = wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
-            bound += approach
-            apart = geodesics[variant, owner, corner[0]]
-            apart = wp.min(apart, wp.min(geodesics[variant, owner, corner[1]], geodesics[variant, owner, corner[2]]))
-            if distance2 < bound * bound and apart > exclusion:
-                nodes = wp.vec4i(owner, corner[0], corner[1], corner[2])
-                if is_rope:
-                    nodes = wp.vec4i(owner, owner + 1, corner[0], corner[1])
-                weight = closest_weights(world, nodes, is_rope, positions)
-                gap = barycentric_gap(weight, nodes, world, positions)
-                length = wp.length(gap)
-                slot = num_found
-                if num_found == SLOTS:
-                    slot = int(0)
-                    for other in range(1, SLOTS):
-                        if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
-                            slot = other
-                has_place = num_found < SLOTS or length < contact_gaps[world, first_slot + slot]
-                if length < reach + approach and has_place:
-                    contact_nodes[world, first_slot + slot] = nodes
-                    contact_gaps[world, first_slot + slot] = length
-                    contact_sides[world, first_slot + slot] = wp.where(
-                        wp.dot(gap, facing(world, nodes, is_rope, positions)) < 0.0, -1.0, 1.0
-                    )
-                    num_found = wp.min(num_found + 1, SLOTS)
+    for block in range(start // BLOCK, (num_elements + BLOCK - 1) // BLOCK):
+        sphere = block_spheres[world, block]
+        from_block = x - wp.vec3(sphere[0], sphere[1], sphere[2])
+        far = reach + sphere[3] + wp.min((wp.length(v) + block_speeds[world, block]) * step_duration, MAX_APPROACH)
+        if wp.dot(from_block, from_block) < far * far:
+            for element in range(wp.max(start, block * BLOCK), wp.min((block + 1) * BLOCK, num_elements)):
+                corner = elements[first_element + element]
+                offset = x - positions[world, corner[0]]
+                bound = reach + element_radii[first_element + element]
+                distance2 = wp.dot(offset, offset)
+                if distance2 < (bound + MAX_APPROACH) * (bound + MAX_APPROACH):
+                    approach = wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
+                    bound += approach
+                    apart = geodesics[variant, owner, corner[0]]
+                    apart = wp.min(apart, wp.min(geodesics[variant, owner, corner[1]], geodesics[variant, owner, corner[2]]))
+                    if distance2 < bound * bound and apart > exclusion:
+                        nodes = wp.vec4i(owner, corner[0], corner[1], corner[2])
+                        if is_rope:
+                            nodes = wp.vec4i(owner, owner + 1, corner[0], corner[1])
+                        weight = closest_weights(world, nodes, is_rope, positions)
+                        gap = barycentric_gap(weight, nodes, world, positions)
+                        length = wp.length(gap)
+                        slot = num_found
+                        if num_found == SLOTS:
+                            slot = int(0)
+                            for other in range(1, SLOTS):
+                                if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
+                                    slot = other
+                        has_place = num_found < SLOTS or length < contact_gaps[world, first_slot + slot]
+                        if length < reach + approach and has_place:
+                            contact_nodes[world, first_slot + slot] = nodes
+                            contact_gaps[world, first_slot + slot] = length
+                            contact_sides[world, first_slot + slot] = wp.where(
+                                wp.dot(gap, facing(world, nodes, is_rope, positions)) < 0.0, -1.0, 1.0
+                            )
+                            num_found = wp.min(num_found + 1, SLOTS)
     contact_counts[world, owner] = num_found
 
 

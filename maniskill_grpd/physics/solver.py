@@ -15,7 +15,7 @@ from maniskill_grpd.physics.colliders import Collider
 from maniskill_grpd.physics.kernels import SelfContacts, build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.self_contact_functions import MAX_CONTACTS_PER_NODE, SLOTS
+from maniskill_grpd.physics.self_contact_functions import BLOCK, MAX_CONTACTS_PER_NODE, SLOTS
 from maniskill_grpd.physics.upload import choose_features, geodesic_table, upload_objects, upload_obstacles
 
 STANDARD_GRAVITY = 9.81
@@ -427,6 +427,7 @@ class Solver:
         edges = max(len(model.edges) for model in self.models)
         self._directions, self._upper, self._multipliers = scratch(edges, 3), scratch(edges), scratch(edges)
         used = features.self_contact
+        blocks = 2 * nodes // BLOCK + 1 if used else 1  # a cloth has less than two triangles for each node
         self._contacts = {
             "nodes": (torch.zeros(count, slots if used else 1, 4, dtype=torch.int32, device=device), wp.vec4i),
             "sides": (scratch(slots, used=used), wp.float32),
@@ -437,6 +438,8 @@ class Solver:
             "of_node": (scratch(nodes, MAX_CONTACTS_PER_NODE, used=used, dtype=torch.int32), wp.int32),
             "num_of_node": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
             "num_active": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
+            "block_spheres": (torch.zeros(count, blocks, 4, device=device), wp.vec4),
+            "block_speeds": (torch.zeros(count, blocks, device=device), wp.float32),
         }
 
     def _choose_num_threads(self, num_threads: int | None) -> int:
