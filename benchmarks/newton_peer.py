@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import newton
 import numpy as np
+import trimesh
 import warp as wp
 
 from maniskill_grpd.physics import Model
@@ -107,7 +108,7 @@ class NewtonSolver:
 
     def _add_bending(self, world: newton.ModelBuilder, model: Model) -> None:
         """Add hinges of stiffness 3 B e^2 / A per angle (edge e, both triangles A), or springs over two segments of a rope."""
-        for i, j, left, right in model.hinges.tolist():
+        for i, j, left, right in mesh_hinges(model).tolist():
             x = model.rest_positions[[i, j, left, right]].astype(float)
             edge = np.linalg.norm(x[1] - x[0])
             area = 0.5 * sum(np.linalg.norm(np.cross(x[1] - x[0], x[other] - x[0])) for other in (2, 3))
@@ -116,6 +117,8 @@ class NewtonSolver:
             if self.method == "vbd":
                 stiffness /= edge
             world.add_edge(left, right, i, j, edge_ke=stiffness, edge_kd=0.0)
+        if len(model.faces):
+            return
         for (previous, _, following), compliance in zip(model.bends.tolist(), model.bend_compliances.tolist(), strict=True):
             world.add_spring(previous, following, 1.0 / compliance, 0.0, 0.0)
 
@@ -138,11 +141,19 @@ class NewtonSolver:
         wp.copy(self.starts, self.targets)
 
 
+def mesh_hinges(model: Model) -> np.ndarray:
+    """Return both nodes of each inner edge of the mesh and the two opposite it, (H, 4); none for a rope."""
+    if not len(model.faces):
+        return np.zeros((0, 4), np.int64)
+    surface = trimesh.Trimesh(model.rest_positions, model.faces, process=False)
+    return np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])
+
+
 def color_vertices(model: Model, num_worlds: int) -> list[np.ndarray]:
     """Colour nodes greedily so that no spring joins two of one colour; the same colours in every world."""
     colors = np.full(model.num_nodes, -1)
     neighbors: list[set[int]] = [set() for _ in range(model.num_nodes)]
-    pairs = model.edges.tolist() + model.bends[:, [0, 2]].tolist() + model.hinges[:, [2, 3]].tolist()
+    pairs = model.edges.tolist() + model.bends[:, [0, 2]].tolist() + mesh_hinges(model)[:, 2:].tolist()
     for i, j in pairs:
         neighbors[i].add(j)
         neighbors[j].add(i)
