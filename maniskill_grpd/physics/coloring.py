@@ -6,20 +6,22 @@ sweep of the solver deterministic and race-free on a GPU.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 
-def color_constraints(constraints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def color_constraints(constraints: np.ndarray | Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Sort constraints by colour.
 
     Args:
-        constraints: Node indices of each constraint, (C, k) int.
+        constraints: Node indices of each constraint, (C, k) int or C arrays of any length.
 
     Returns:
         order: Permutation of the constraints that puts equal colours side by side, (C,) int64; stable within a colour.
         offsets: Start of each colour in that order, closed by C: (num_colors + 1,) int32.
     """
-    num_nodes = int(constraints.max()) + 1 if constraints.size else 0
+    num_nodes = 1 + max((int(nodes.max()) for nodes in constraints), default=-1)
     used: list[set[int]] = [set() for _ in range(num_nodes)]
     colors = np.zeros(len(constraints), dtype=np.int64)
     for index, nodes in enumerate(constraints):

@@ -2,18 +2,121 @@
 
 On CUDA a block of threads works on one world: its lanes stride over nodes and over the constraints of one colour, with a block
 barrier in between. On CPU the block has one lane and the same source is a plain sequential loop; worlds are split over threads
-by the caller. Annotations stay real objects here (no postponed evaluation), because Warp reads them.
+by the caller. `wp.static` leaves out what a solver does not need, so that a rope pays nothing for cloth. Annotations stay real
+objects here (no postponed evaluation), because Warp reads them.
 """
 
+from dataclasses import dataclass
+from functools import cache
+
 import warp as wp
+
+from maniskill_grpd.physics.collider_functions import closest_on_edge, project_collider, project_table
+from maniskill_grpd.physics.constraint_functions import (
+    limit_gripper_targets,
+    project_bend,
+    project_hinge,
+    project_stretch_line,
+    project_tethers,
+)
+from maniskill_grpd.physics.self_contact_functions import (
+    BLOCK,
+    SLOTS,
+    bound_block,
+    compute_contact_impulse,
+    count_active,
+    find_candidates,
+    gather_contact_impulses,
+    register_contacts,
+    sort_contacts,
+)
 
 wp.config.log_level = wp.LOG_WARNING  # no banner when a library is imported
 
 # A world is frozen when a coordinate is not finite or has left this range [m]: past it float32 cannot hold millimetres.
 POSITION_LIMIT = wp.constant(1.0e4)
-# Most sweeps over the gripper pairs, and the relative excess that is left alone: four grippers in a row need about forty.
-LEASH_SWEEPS = wp.constant(64)
-LEASH_TOLERANCE = wp.constant(1.0e-4)
+
+
+@dataclass(frozen=True)
+class Features:
+    """What the worlds of a solver contain. Everything else is left out of its kernel."""
+
+    bends: bool = False
+    hinges: bool = False
+    tethers: bool = False
+    colliders: bool = False
+    self_contact: bool = False
+
+
+@wp.struct
+class Objects:
+    """The M variants, one after the other in flat arrays. Constraints are sorted by colour.
+
+    Colours of variant m are `*_colors[*_ranges[m]] ... `, each the first constraint of a colour, closed by the end of the last.
+    """
+
+    node_counts: wp.array(dtype=int)
+    radii: wp.array(dtype=float)
+    max_stretch: wp.array(dtype=float)  # 1 + max_strain
+    # Lines of edges; line l has the edges line_edges[l] ... line_edges[l + 1], and one node more.
+    line_ranges: wp.array(dtype=int)
+    line_colors: wp.array(dtype=int)
+    line_edges: wp.array(dtype=int)
+    line_nodes: wp.array(dtype=int)
+    rest_lengths: wp.array(dtype=float)
+    stretch_compliances: wp.array(dtype=float)
+    bend_ranges: wp.array(dtype=int)
+    bend_colors: wp.array(dtype=int)
+    bends: wp.array(dtype=wp.vec3i)
+    bend_compliances: wp.array(dtype=float)
+    hinge_ranges: wp.array(dtype=int)
+    hinge_colors: wp.array(dtype=int)
+    hinges: wp.array(dtype=wp.vec4i)
+    hinge_weights: wp.array(dtype=wp.vec4)
+    hinge_compliances: wp.array(dtype=float)
+    geodesics: wp.array3d(dtype=float)  # through the material between all nodes, by variant
+    # Edges that touch obstacles with all their length.
+    mesh_edge_ranges: wp.array(dtype=int)
+    mesh_edge_colors: wp.array(dtype=int)
+    mesh_edges: wp.array(dtype=wp.vec2i)
+    # Triangles of cloth and segments of ropes, for contact of an object with itself.
+    element_starts: wp.array(dtype=int)
+    elements: wp.array(dtype=wp.vec3i)
+    element_radii: wp.array(dtype=float)
+    owner_counts: wp.array(dtype=int)
+    exclusions: wp.array(dtype=float)
+    is_rope: wp.array(dtype=wp.bool)
+
+
+@wp.struct
+class Obstacles:
+    """The K colliders and their pose, size and switch in every world."""
+
+    kinds: wp.array(dtype=int)
+    polygon_sizes: wp.array(dtype=int)
+    polygons: wp.array2d(dtype=wp.vec2)
+    meshes: wp.array(dtype=wp.uint64)
+    positions: wp.array2d(dtype=wp.vec3)
+    rotations: wp.array2d(dtype=wp.vec4)
+    sizes: wp.array2d(dtype=wp.vec3)
+    active: wp.array2d(dtype=wp.bool)
+
+
+@wp.struct
+class SelfContacts:
+    """Candidates of contact of an object with itself, in every world."""
+
+    nodes: wp.array2d(dtype=wp.vec4i)
+    sides: wp.array2d(dtype=float)
+    gaps: wp.array2d(dtype=float)
+    weights: wp.array2d(dtype=wp.vec4)
+    impulses: wp.array2d(dtype=wp.vec3)
+    counts: wp.array2d(dtype=int)
+    of_node: wp.array3d(dtype=int)
+    num_of_node: wp.array2d(dtype=int)
+    num_active: wp.array2d(dtype=int)
+    block_spheres: wp.array2d(dtype=wp.vec4)
+    block_speeds: wp.array2d(dtype=float)
 
 
 @wp.func_native(
@@ -34,233 +137,292 @@ def is_valid(p: wp.vec3) -> bool:
 
 
 @wp.func
-def effective_inverse_mass(inverse_mass: float, gripper: int) -> float:
-    """Inverse mass of a node as the constraints see it: held nodes are kinematic."""
-    if gripper >= 0:
-        return 0.0
-    return inverse_mass
+def project_colliders(
+    world: int, position: wp.vec3, previous: wp.vec3, radius: float, friction: float, obstacles: Obstacles
+) -> wp.vec3:
+    """Keep one point out of all active colliders of its world, in their order."""
+    for k in range(obstacles.kinds.shape[0]):
+        if obstacles.active[world, k]:
+            position = project_collider(
+                position, previous, radius, friction, obstacles.positions[world, k], obstacles.rotations[world, k],
+                k, obstacles.kinds[k], obstacles.sizes[world, k],
+                obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+            )  # fmt: skip
+    return position
 
 
 @wp.func
-def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_targets: wp.array2d(dtype=wp.vec3)):
-    """Draw grippers together that would pull the object beyond its own length.
-
-    Kinematic grippers have unlimited force and would tear any rope. Each pair that is further apart than its leash moves by half
-    the excess, so targets stay inside their convex hull.
-    """
-    for _sweep in range(LEASH_SWEEPS):
-        num_taut = int(0)
-        for a in range(gripper_targets.shape[1]):
-            for b in range(a):
-                difference = gripper_targets[world, a] - gripper_targets[world, b]
-                distance = wp.length(difference)
-                if distance > leashes[world, a, b] * (1.0 + LEASH_TOLERANCE):
-                    num_taut += 1
-                    correction = difference * (0.5 * (distance - leashes[world, a, b]) / distance)
-                    gripper_targets[world, a] = gripper_targets[world, a] - correction
-                    gripper_targets[world, b] = gripper_targets[world, b] + correction
-        if num_taut == 0:
-            break
-
-
-@wp.func
-def project_stretch_chain(
+def project_edge(
     world: int,
-    rest_lengths: wp.array(dtype=float),
-    compliances: wp.array(dtype=float),
-    inverse_dt2: float,
-    inverse_masses: wp.array2d(dtype=float),
-    holder: wp.array2d(dtype=int),
-    positions: wp.array2d(dtype=wp.vec3),
-    directions: wp.array2d(dtype=wp.vec3),
-    upper: wp.array2d(dtype=float),
-    multipliers: wp.array2d(dtype=float),
-):
-    """Project all stretch constraints C_k = |x_k - x_k+1| - rest_k of a chain at once.
-
-    One Newton step of XPBD, (J W J^T + compliance / dt^2) lambda = -C, whose matrix is tridiagonal for a chain and solved by
-    elimination in O(N) (Deul et al. 2018). A sweep of single projections would carry tension by one node per substep and so add
-    an elongation of its own that grows with resolution; the direct solve leaves only the material's.
-    """
-    num_edges = rest_lengths.shape[0]
-    pivot = float(1.0)
-    eliminated = float(0.0)
-    last_direction = wp.vec3(0.0, 0.0, 0.0)
-    for k in range(num_edges):
-        difference = positions[world, k] - positions[world, k + 1]
-        length = wp.length(difference)
-        direction = difference / wp.max(length, 1.0e-9)
-        w_k = effective_inverse_mass(inverse_masses[world, k], holder[world, k])
-        w_next = effective_inverse_mass(inverse_masses[world, k + 1], holder[world, k + 1])
-        diagonal = w_k + w_next + compliances[k] * inverse_dt2
-        off_diagonal = -w_k * wp.dot(last_direction, direction)
-        ratio = off_diagonal / pivot
-        if k > 0:
-            upper[world, k - 1] = ratio
-        pivot = diagonal - off_diagonal * ratio
-        eliminated = (rest_lengths[k] - length - off_diagonal * eliminated) / pivot
-        multipliers[world, k] = eliminated
-        directions[world, k] = direction
-        last_direction = direction
-
-    multiplier = float(0.0)
-    push = wp.vec3(0.0, 0.0, 0.0)  # lambda_k * direction_k of the edge behind
-    for reverse in range(num_edges):
-        k = num_edges - 1 - reverse
-        multiplier = multipliers[world, k] - upper[world, k] * multiplier
-        pull = directions[world, k] * multiplier
-        w_next = effective_inverse_mass(inverse_masses[world, k + 1], holder[world, k + 1])
-        positions[world, k + 1] = positions[world, k + 1] + (push - pull) * w_next
-        push = pull
-    w_first = effective_inverse_mass(inverse_masses[world, 0], holder[world, 0])
-    positions[world, 0] = positions[world, 0] + push * w_first
-
-
-@wp.func
-def project_bend(
-    world: int,
-    bend: wp.vec3i,
-    compliance_over_dt2: float,
-    inverse_masses: wp.array2d(dtype=float),
-    holder: wp.array2d(dtype=int),
-    positions: wp.array2d(dtype=wp.vec3),
-):
-    """Project the vector constraint C = x_p - 2 x_m + x_n, which is linear in the positions."""
-    p = bend[0]
-    m = bend[1]
-    n = bend[2]
-    w_p = effective_inverse_mass(inverse_masses[world, p], holder[world, p])
-    w_m = effective_inverse_mass(inverse_masses[world, m], holder[world, m])
-    w_n = effective_inverse_mass(inverse_masses[world, n], holder[world, n])
-    curvature = positions[world, p] - 2.0 * positions[world, m] + positions[world, n]
-    correction = curvature / (w_p + 4.0 * w_m + w_n + compliance_over_dt2)
-    positions[world, p] = positions[world, p] - correction * w_p
-    positions[world, m] = positions[world, m] + correction * (2.0 * w_m)
-    positions[world, n] = positions[world, n] - correction * w_n
-
-
-@wp.func
-def project_contact(position: wp.vec3, previous: wp.vec3, plane: wp.vec4, radius: float, friction: float) -> wp.vec3:
-    """Push a node out of the table and apply Coulomb friction to its motion within the substep.
-
-    The normal correction `depth` is the normal impulse in position units, so the tangential motion is cancelled up to
-    friction * depth: complete cancellation is stick, the rest slides (Macklin et al. 2014, section 6.1).
-    """
-    normal = wp.vec3(plane[0], plane[1], plane[2])
-    depth = radius - (wp.dot(normal, position) - plane[3])
-    if depth <= 0.0:
-        return position
-    moved = position - previous
-    tangential = moved - normal * wp.dot(moved, normal)
-    slip = wp.length(tangential)
-    cancelled = float(0.0)
-    if slip > 0.0:
-        cancelled = wp.min(1.0, friction * depth / slip)
-    return position + normal * depth - tangential * cancelled
-
-
-@wp.kernel
-def step_worlds(
-    # model:
-    rest_lengths: wp.array(dtype=float),
-    stretch_compliances: wp.array(dtype=float),
-    bends: wp.array(dtype=wp.vec3i),
-    bend_compliances: wp.array(dtype=float),
-    bend_color_offsets: wp.array(dtype=int),
+    edge: wp.vec2i,
     radius: float,
-    velocity_decay: float,
-    # time:
-    num_substeps: int,
-    dt: float,
-    # world:
-    gravity: wp.array(dtype=wp.vec3),
-    plane: wp.array(dtype=wp.vec4),
-    friction: wp.array(dtype=float),
-    inverse_masses: wp.array2d(dtype=float),
-    holder: wp.array2d(dtype=int),
-    hold_offsets: wp.array2d(dtype=wp.vec3),
-    leashes: wp.array3d(dtype=float),
-    # state:
-    gripper_targets: wp.array2d(dtype=wp.vec3),
-    gripper_positions: wp.array2d(dtype=wp.vec3),
-    positions: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
-    frozen: wp.array(dtype=wp.bool),
-    # scratch:
+    friction: float,
+    obstacles: Obstacles,
+    weights: wp.array2d(dtype=float),
     previous: wp.array2d(dtype=wp.vec3),
-    backup: wp.array2d(dtype=wp.vec3),
-    directions: wp.array2d(dtype=wp.vec3),
-    upper: wp.array2d(dtype=float),
-    multipliers: wp.array2d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
 ):
-    """Advance every world by `num_substeps` substeps of one XPBD iteration each (Macklin et al. 2016, 2019)."""
-    world, lane = wp.tid()
-    lanes = wp.block_dim()
-    num_nodes = positions.shape[1]
-    if frozen[world]:
-        return
+    """Keep the point x = (1 - t) x_i + t x_j of an edge that is closest to a collider out of it.
 
-    for node in range(lane, num_nodes, lanes):
-        backup[world, node] = positions[world, node]
-    if lane == 0:
-        limit_gripper_targets(world, leashes, gripper_targets)
-    synchronize_block()
-    inverse_dt2 = 1.0 / (dt * dt)
+    A correction d of the point moves its nodes by w_i (1 - t) d / s and w_j t d / s with s = w_i (1 - t)^2 + w_j t^2.
+    """
+    i = edge[0]
+    j = edge[1]
+    w_i = weights[world, i]
+    w_j = weights[world, j]
+    if w_i + w_j > 0.0:
+        for k in range(obstacles.kinds.shape[0]):
+            if obstacles.active[world, k]:
+                x_i = positions[world, i]
+                x_j = positions[world, j]
+                t = closest_on_edge(
+                    x_i, x_j, radius, obstacles.positions[world, k], obstacles.rotations[world, k], k, obstacles.kinds[k],
+                    obstacles.sizes[world, k], obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+                )  # fmt: skip
+                if t > 0.0:
+                    point = x_i * (1.0 - t) + x_j * t
+                    start = previous[world, i] * (1.0 - t) + previous[world, j] * t
+                    moved = project_collider(
+                        point, start, radius, friction, obstacles.positions[world, k], obstacles.rotations[world, k],
+                        k, obstacles.kinds[k], obstacles.sizes[world, k],
+                        obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+                    )  # fmt: skip
+                    share = w_i * (1.0 - t) * (1.0 - t) + w_j * t * t
+                    if share > 0.0:
+                        positions[world, i] = x_i + (moved - point) * (w_i * (1.0 - t) / share)
+                        positions[world, j] = x_j + (moved - point) * (w_j * t / share)
 
-    for substep in range(num_substeps):
-        # Predict: held nodes follow their gripper along a straight line, free nodes fly.
-        progress = float(substep + 1) / float(num_substeps)
+
+@cache
+def build_step_kernel(features: Features) -> wp.Kernel:
+    """Return the kernel that advances worlds with the given features by one control step."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def step_worlds(
+        # model:
+        objects: Objects,
+        obstacles: Obstacles,
+        # time:
+        num_substeps: int,
+        search_interval: int,
+        dt: float,
+        # world:
+        variants: wp.array(dtype=int),
+        gravity: wp.array(dtype=wp.vec3),
+        plane: wp.array(dtype=wp.vec4),
+        friction: wp.array(dtype=float),
+        damping: wp.array(dtype=float),
+        stretch_scale: wp.array(dtype=float),
+        bend_scale: wp.array(dtype=float),
+        inverse_masses: wp.array2d(dtype=float),
+        holder: wp.array2d(dtype=int),
+        hold_offsets: wp.array2d(dtype=wp.vec3),
+        gripper_nodes: wp.array2d(dtype=int),
+        leashes: wp.array3d(dtype=float),
+        # state:
+        gripper_targets: wp.array2d(dtype=wp.vec3),
+        gripper_positions: wp.array2d(dtype=wp.vec3),
+        positions: wp.array2d(dtype=wp.vec3),
+        velocities: wp.array2d(dtype=wp.vec3),
+        frozen: wp.array(dtype=wp.bool),
+        # out:
+        gripper_forces: wp.array2d(dtype=wp.vec3),
+        # scratch:
+        previous: wp.array2d(dtype=wp.vec3),
+        backup: wp.array2d(dtype=wp.vec3),
+        weights: wp.array2d(dtype=float),
+        reactions: wp.array2d(dtype=wp.vec3),
+        tether_impulses: wp.array3d(dtype=wp.vec3),
+        directions: wp.array2d(dtype=wp.vec3),
+        upper: wp.array2d(dtype=float),
+        multipliers: wp.array2d(dtype=float),
+        contacts: SelfContacts,
+    ):
+        """Advance every world by `num_substeps` substeps of one XPBD iteration each (Macklin et al. 2016, 2019)."""
+        world, lane = wp.tid()
+        lanes = wp.block_dim()
+        if frozen[world]:
+            return
+        variant = variants[world]
+        num_nodes = objects.node_counts[variant]
+        radius = objects.radii[variant]
+        inverse_dt2 = 1.0 / (dt * dt)
+        stretch_inverse_dt2 = inverse_dt2 / stretch_scale[world]
+        bend_inverse_dt2 = inverse_dt2 / bend_scale[world]
+        # In double precision: 1 - c dt has few digits left in single.
+        velocity_decay = float(wp.exp(-wp.float64(damping[world]) * wp.float64(dt)))
+
         for node in range(lane, num_nodes, lanes):
-            position = positions[world, node]
-            previous[world, node] = position
-            gripper = holder[world, node]
-            if gripper >= 0:
-                start = gripper_positions[world, gripper]
-                grasp = start + (gripper_targets[world, gripper] - start) * progress
-                positions[world, node] = grasp + hold_offsets[world, node]
-            elif inverse_masses[world, node] > 0.0:
-                velocity = velocities[world, node] * velocity_decay + gravity[world] * dt
-                positions[world, node] = position + velocity * dt
+            backup[world, node] = positions[world, node]
+            reactions[world, node] = wp.vec3(0.0, 0.0, 0.0)
+            weight = inverse_masses[world, node]
+            if holder[world, node] >= 0:
+                weight = float(0.0)
+            weights[world, node] = weight
+            if wp.static(features.tethers):
+                for gripper in range(gripper_nodes.shape[1]):
+                    tether_impulses[world, gripper, node] = wp.vec3(0.0, 0.0, 0.0)
+        if lane == 0:
+            limit_gripper_targets(world, leashes, gripper_targets)
         synchronize_block()
 
-        for color in range(bend_color_offsets.shape[0] - 1):
-            for c in range(bend_color_offsets[color] + lane, bend_color_offsets[color + 1], lanes):
-                project_bend(world, bends[c], bend_compliances[c] * inverse_dt2, inverse_masses, holder, positions)
+        for substep in range(num_substeps):
+            if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
+                # Find what may touch until the next search, and tell every node of its contacts.
+                if substep % search_interval == 0:
+                    for node in range(lane, num_nodes, lanes):
+                        contacts.num_of_node[world, node] = 0
+                    first_element = objects.element_starts[variant]
+                    num_elements = objects.element_starts[variant + 1] - first_element
+                    for block in range(lane, (num_elements + BLOCK - 1) // BLOCK, lanes):
+                        bound_block(
+                            world, block, first_element, num_elements, objects.elements, objects.element_radii,
+                            positions, velocities, contacts.block_spheres, contacts.block_speeds,
+                        )  # fmt: skip
+                    synchronize_block()
+                    for owner in range(lane, objects.owner_counts[variant], lanes):
+                        find_candidates(
+                            world, owner, first_element,
+                            num_elements, objects.is_rope[variant], 3.0 * radius, objects.exclusions[variant],
+                            2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii,
+                            objects.geodesics, positions, velocities,
+                            contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
+                            contacts.block_spheres, contacts.block_speeds,
+                        )  # fmt: skip
+                        register_contacts(
+                            world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node
+                        )
+                    synchronize_block()
+                    for node in range(lane, num_nodes, lanes):
+                        sort_contacts(world, node, contacts.of_node, contacts.num_of_node)
+                    synchronize_block()
+
+            # Predict: held nodes follow their gripper along a straight line, free nodes fly.
+            progress = float(substep + 1) / float(num_substeps)
+            for node in range(lane, num_nodes, lanes):
+                position = positions[world, node]
+                previous[world, node] = position
+                gripper = holder[world, node]
+                if gripper >= 0:
+                    start = gripper_positions[world, gripper]
+                    grasp = start + (gripper_targets[world, gripper] - start) * progress
+                    positions[world, node] = grasp + hold_offsets[world, node]
+                elif inverse_masses[world, node] > 0.0:
+                    velocity = velocities[world, node] * velocity_decay + gravity[world] * dt
+                    positions[world, node] = position + velocity * dt
             synchronize_block()
 
-        # Stretch after bending: a rope's length is the stiffer and the more visible of the two.
-        if lane == 0:
-            project_stretch_chain(
-                world, rest_lengths, stretch_compliances, inverse_dt2, inverse_masses, holder, positions,
-                directions, upper, multipliers,
-            )  # fmt: skip
+            if wp.static(features.bends):
+                for color in range(objects.bend_ranges[variant], objects.bend_ranges[variant + 1] - 1):
+                    for c in range(objects.bend_colors[color] + lane, objects.bend_colors[color + 1], lanes):
+                        project_bend(
+                            world, objects.bends[c], objects.bend_compliances[c] * bend_inverse_dt2,
+                            weights, positions, reactions,
+                        )  # fmt: skip
+                    synchronize_block()
+
+            if wp.static(features.hinges):
+                for color in range(objects.hinge_ranges[variant], objects.hinge_ranges[variant + 1] - 1):
+                    for c in range(objects.hinge_colors[color] + lane, objects.hinge_colors[color + 1], lanes):
+                        project_hinge(
+                            world, objects.hinges[c], objects.hinge_weights[c], objects.hinge_compliances[c] * bend_inverse_dt2,
+                            weights, positions, reactions,
+                        )  # fmt: skip
+                    synchronize_block()
+
+            if wp.static(features.tethers):
+                for node in range(lane, num_nodes, lanes):
+                    project_tethers(
+                        world, node, variant, objects.max_stretch[variant], objects.geodesics, gripper_nodes,
+                        weights, positions, tether_impulses,
+                    )  # fmt: skip
+                synchronize_block()
+
+            # Stretch after bending: the length is the stiffer and the more visible of the two.
+            first_edge = objects.line_edges[objects.line_colors[objects.line_ranges[variant]]]
+            for color in range(objects.line_ranges[variant], objects.line_ranges[variant + 1] - 1):
+                for line in range(objects.line_colors[color] + lane, objects.line_colors[color + 1], lanes):
+                    edge = objects.line_edges[line]
+                    project_stretch_line(
+                        world, edge, edge + line, edge - first_edge, objects.line_edges[line + 1] - edge,
+                        objects.line_nodes, objects.rest_lengths, objects.stretch_compliances,
+                        stretch_inverse_dt2, weights, positions, reactions, directions, upper, multipliers,
+                    )  # fmt: skip
+                synchronize_block()
+
+            if wp.static(features.self_contact):
+                for owner in range(lane, objects.owner_counts[variant], lanes):
+                    for index in range(contacts.counts[world, owner]):
+                        compute_contact_impulse(
+                            world, owner * SLOTS + index, objects.is_rope[variant], 2.0 * radius, friction[world],
+                            contacts.nodes, contacts.sides, weights, positions, previous, contacts.weights, contacts.impulses,
+                        )  # fmt: skip
+                synchronize_block()
+                for node in range(lane, num_nodes, lanes):
+                    contacts.num_active[world, node] = count_active(
+                        world, node, contacts.of_node, contacts.num_of_node, contacts.impulses
+                    )
+                synchronize_block()
+                for node in range(lane, num_nodes, lanes):
+                    if contacts.num_active[world, node] > 0:
+                        impulse = gather_contact_impulses(
+                            world, node, contacts.of_node, contacts.num_of_node, contacts.nodes, contacts.weights,
+                            contacts.impulses, contacts.num_active,
+                        )  # fmt: skip
+                        if weights[world, node] > 0.0:
+                            positions[world, node] = positions[world, node] + impulse * weights[world, node]
+                        else:
+                            reactions[world, node] = reactions[world, node] + impulse
+                synchronize_block()
+
+            if wp.static(features.colliders):
+                for color in range(objects.mesh_edge_ranges[variant], objects.mesh_edge_ranges[variant + 1] - 1):
+                    for c in range(objects.mesh_edge_colors[color] + lane, objects.mesh_edge_colors[color + 1], lanes):
+                        project_edge(
+                            world, objects.mesh_edges[c], radius, friction[world], obstacles, weights, previous, positions
+                        )
+                    synchronize_block()
+
+            # Surfaces last, so that no substep ends below the table; then velocities from the motion.
+            for node in range(lane, num_nodes, lanes):
+                position = positions[world, node]
+                start = previous[world, node]
+                if weights[world, node] > 0.0:
+                    if wp.static(features.colliders):
+                        position = project_colliders(world, position, start, radius, friction[world], obstacles)
+                    position = project_table(position, start, plane[world], radius, friction[world])
+                    positions[world, node] = position
+                velocities[world, node] = (position - start) / dt
+            synchronize_block()
+
+        for node in range(lane, num_nodes, lanes):
+            if not is_valid(positions[world, node]):
+                frozen[world] = True
+        for gripper in range(lane, gripper_positions.shape[1], lanes):
+            if not is_valid(gripper_targets[world, gripper]):
+                frozen[world] = True
         synchronize_block()
 
-        # Contact last, so that no substep ends below the table; then velocities from the motion.
-        for node in range(lane, num_nodes, lanes):
-            position = positions[world, node]
-            start = previous[world, node]
-            if effective_inverse_mass(inverse_masses[world, node], holder[world, node]) > 0.0:
-                position = project_contact(position, start, plane[world], radius, friction[world])
-                positions[world, node] = position
-            velocities[world, node] = (position - start) / dt
-        synchronize_block()
+        # A world that blew up keeps its last valid state and rests there until it is reset.
+        if frozen[world]:
+            for node in range(lane, num_nodes, lanes):
+                positions[world, node] = backup[world, node]
+                velocities[world, node] = wp.vec3(0.0, 0.0, 0.0)
+            for gripper in range(lane, gripper_positions.shape[1], lanes):
+                gripper_targets[world, gripper] = gripper_positions[world, gripper]
+                gripper_forces[world, gripper] = wp.vec3(0.0, 0.0, 0.0)
+        else:
+            for gripper in range(lane, gripper_positions.shape[1], lanes):
+                gripper_positions[world, gripper] = gripper_targets[world, gripper]
+                # Impulses here are in position units, force * dt^2.
+                total = wp.vec3(0.0, 0.0, 0.0)
+                for node in range(num_nodes):
+                    if holder[world, node] == gripper:
+                        total += reactions[world, node]
+                        if inverse_masses[world, node] > 0.0:
+                            total += gravity[world] * (dt * dt * float(num_substeps) / inverse_masses[world, node])
+                    if wp.static(features.tethers):
+                        total += tether_impulses[world, gripper, node]
+                gripper_forces[world, gripper] = total * (inverse_dt2 / float(num_substeps))
 
-    for node in range(lane, num_nodes, lanes):
-        if not is_valid(positions[world, node]):
-            frozen[world] = True
-    for gripper in range(lane, gripper_positions.shape[1], lanes):
-        if not is_valid(gripper_targets[world, gripper]):
-            frozen[world] = True
-    synchronize_block()
-
-    # A world that blew up keeps its last valid state and rests there until it is reset.
-    if frozen[world]:
-        for node in range(lane, num_nodes, lanes):
-            positions[world, node] = backup[world, node]
-            velocities[world, node] = wp.vec3(0.0, 0.0, 0.0)
-        for gripper in range(lane, gripper_positions.shape[1], lanes):
-            gripper_targets[world, gripper] = gripper_positions[world, gripper]
-    else:
-        for gripper in range(lane, gripper_positions.shape[1], lanes):
-            gripper_positions[world, gripper] = gripper_targets[world, gripper]
+    return step_worlds

@@ -4,89 +4,136 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import torch
 import warp as wp
 
-from maniskill_grpd.physics.coloring import color_constraints
-from maniskill_grpd.physics.kernels import step_worlds
+from maniskill_grpd.physics.colliders import Collider
+from maniskill_grpd.physics.kernels import SelfContacts, build_step_kernel
+from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
+from maniskill_grpd.physics.self_contact_functions import BLOCK, MAX_CONTACTS_PER_NODE, SLOTS
+from maniskill_grpd.physics.upload import choose_features, geodesic_table, upload_objects, upload_obstacles
 
 STANDARD_GRAVITY = 9.81
 # Below this many worlds a second thread costs more than it brings.
 MIN_WORLDS_PER_THREAD = 16
-# One warp is enough for ropes; a larger block only pays when a colour has more constraints than lanes.
-CUDA_BLOCK_DIM = 64
-# Distance [m] of grippers that hold nothing together: further apart than any world is wide.
-NO_LEASH = 1.0e6
+# Lanes of a block on CUDA: more only pay when a colour has more constraints than lanes.
+SMALL_BLOCK_DIM, LARGE_BLOCK_DIM, LARGE_OBJECT = 64, 256, 200
+# Searches for contacts of an object with itself in one control step.
+SEARCHES_PER_STEP = 4
 
 
 class Solver:
-    """XPBD with small substeps for B worlds that hold the same object.
+    """XPBD with small substeps for B worlds, each with one of M object variants.
 
     Every state tensor is allocated once and shared with Warp: write into it, never rebind it. `step()` allocates nothing and does
     not synchronise with the host. World i of a batch does the same arithmetic whatever B and its place in the batch are, so
-    trajectories are bitwise reproducible on one device.
+    trajectories are bitwise reproducible on one device. N is the number of nodes of the largest variant; the rows of smaller
+    ones are padded with zeros that never move.
 
     Attributes:
+        models: The variants; `model` is the first.
+        variants: Variant of each world, (B,) int32, changed by `reset`.
+        node_mask: True for nodes, False for padding, (B, N) bool.
         positions: Node positions, (B, N, 3) [m].
         velocities: Node velocities, (B, N, 3) [m/s].
         inverse_masses: (B, N) [1/kg]; 0 fixes a node in space.
         gravity: (B, 3) [m/s^2].
         plane: Table of each world, (B, 4): unit normal n and offset c of the surface n . x = c [m].
-        friction: Coulomb coefficient against the table, (B,).
+        friction: Coulomb coefficient against table and colliders, and of the object with itself, (B,).
+        damping: Decay rate of the velocities of free nodes, (B,) [1/s].
+        stretch_scale, bend_scale: Factors on the stiffnesses of the model, (B,).
         gripper_positions: (B, A, 3) [m], where the grippers are.
         gripper_targets: (B, A, 3) [m], where they will be after the next step; they move there in a straight line. `step()`
             draws targets together that are further apart than their leash.
+        gripper_forces: Mean force with which the object pulled each gripper in the last step, (B, A, 3) [N]: that of the
+            constraints on the held nodes and the weight of these, without their inertia.
+        gripper_nodes: Node at which each gripper holds, -1 for none, (B, A) int32.
+        closed: Grippers that are closed, (B, A) bool; a closed gripper may have caught nothing.
         holder: Gripper that holds each node, -1 for free nodes, (B, N) int32.
         hold_offsets: Position of held nodes relative to their gripper, (B, N, 3) [m].
         leashes: Largest distance between each two grippers, (B, A, A) [m]: the length of the object between what they hold.
+        collider_positions: (B, K, 3) [m].
+        collider_rotations: Unit quaternions (w, x, y, z), (B, K, 4).
+        collider_sizes: (B, K, 3) [m], by kind (see `Collider`).
+        collider_active: (B, K) bool; inactive ones are not there.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
 
-    Limitations: no self-collision; friction and damping dissipate momentum; first order in the substep, with the numerical
-    damping of implicit integration.
+    Limitations: colliders stand still during a step; contact of an object with itself is between nodes and triangles (cloth) or
+    segments (rope), not between two edges of a cloth; friction and damping dissipate momentum; first order in the substep, with
+    the numerical damping of implicit integration.
     """
 
     def __init__(
         self,
-        model: Model,
+        model: Model | Sequence[Model],
         num_worlds: int,
         num_grippers: int = 4,
         *,
         control_dt: float = 0.05,
-        substeps: int = 20,
+        substeps: int | None = None,
         device: str | torch.device = "cpu",
         num_threads: int | None = None,
+        colliders: Sequence[Collider] = (),
+        self_collision: bool = False,
+        patch_radius: float = 0.0,
+        capture_radius: float = 0.03,
     ) -> None:
-        """Allocate the state of all worlds, at rest in the rest shape, with nothing held.
+        """Allocate the state of all worlds, with the first variant at rest in its rest shape and nothing held.
 
         Args:
-            model: The object.
+            model: The object, or the variants among which `reset` chooses.
             num_worlds: Number of worlds B, >= 1.
             num_grippers: Number of grippers A, >= 1.
             control_dt: Duration of one `step()` [s], > 0.
-            substeps: XPBD substeps in one `step()`, >= 1. More substeps are stiffer and dearer.
+            substeps: XPBD substeps in one `step()`, >= 1. More substeps are stiffer and dearer. By default what the model needs
+                for a step of 0.05 s, 20 for ropes.
             device: "cpu" or a CUDA device.
             num_threads: CPU threads that share the worlds; by default all cores, but at least 16 worlds per thread.
+            colliders: Obstacles that every world has, at the origin until `collider_positions` says otherwise.
+            self_collision: Let objects collide with themselves.
+            patch_radius: Grippers hold all nodes within this distance [m] of the one they close at; 0 holds that node alone, as
+                a pivot.
+            capture_radius: Distance [m] from which `set_closed` catches a node.
 
         Raises:
             ValueError: If a number is out of its range.
         """
-        for name, value, low in (("num_worlds", num_worlds, 1), ("num_grippers", num_grippers, 1), ("substeps", substeps, 1)):
-            if value < low:
+        for name, value, low in (
+            ("num_worlds", num_worlds, 1),
+            ("num_grippers", num_grippers, 1),
+            ("substeps", 1 if substeps is None else substeps, 1),
+            ("patch_radius", patch_radius, 0),
+            ("capture_radius", capture_radius, 0),
+        ):
+            if not value >= low:
                 raise ValueError(f"{name} must be >= {low}, got {value}")
         if not control_dt > 0.0:
             raise ValueError(f"control_dt must be > 0 s, got {control_dt}")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads must be >= 1, got {num_threads}")
-        self.model = model
+        self.models = (model,) if isinstance(model, Model) else tuple(model)
+        if not self.models:
+            raise ValueError("a solver needs at least one model, got none")
+        self.model = self.models[0]
         self.num_worlds = num_worlds
         self.num_grippers = num_grippers
+        self.num_nodes = max(entry.num_nodes for entry in self.models)
         self.control_dt = control_dt
-        self.substeps = substeps
+        self.substeps = max(entry.default_substeps for entry in self.models) if substeps is None else substeps
         self.device = torch.device(device)
+        self.colliders = tuple(colliders)
+        self.patch_radius = patch_radius
+        self.capture_radius = capture_radius
+        self._features = choose_features(self.models, self.colliders, self_collision)
+        self._allocate_variants()
         self._allocate_state()
+        self._allocate_colliders()
+        self._allocate_scratch()
         self._commands = self._record_commands(self._choose_num_threads(num_threads))
         self._pool = ThreadPoolExecutor(len(self._commands)) if len(self._commands) > 1 else None
 
@@ -101,56 +148,188 @@ class Solver:
                 launched.result()
 
     def reset(
-        self, world_idx: torch.Tensor, positions: torch.Tensor, gripper_nodes: torch.Tensor | None = None
+        self,
+        world_idx: torch.Tensor,
+        positions: torch.Tensor | None = None,
+        gripper_nodes: torch.Tensor | None = None,
+        *,
+        variants: torch.Tensor | None = None,
     ) -> None:
         """Put some worlds at rest in given shapes; the other worlds are left bitwise unchanged.
 
         Args:
             world_idx: Worlds to reset, (b,) int64.
-            positions: Their node positions, (b, N, 3) [m].
-            gripper_nodes: Node at which each gripper closes, (A,) int64. It is held as a pivot: the gripper fixes the node's
-                position and lets the rope turn about it. With None the grippers are opened and left where they are.
+            positions: Their node positions, (b, N, 3) [m], finite in the padding too; the rest shapes by default.
+            gripper_nodes: Node at which each gripper closes, (A,) or (b, A) int64, see `grasp`. With None the grippers are opened
+                and left where they are.
+            variants: Variant of each of these worlds from now on, (b,) int64. Masses, friction, damping and stiffnesses are then
+                those of its model. With None variants and materials stay as they are.
 
         Raises:
-            ValueError: If a shape does not fit, or a position is not finite.
+            ValueError: If a shape does not fit, a variant does not exist, or a position is not finite.
         """
-        expected = (len(world_idx), self.model.num_nodes, 3)
+        if variants is not None:
+            self._set_variants(world_idx, variants)
+        if positions is None:
+            positions = self._rest_positions[self.variants[world_idx].long()]
+        expected = (len(world_idx), self.num_nodes, 3)
         if tuple(positions.shape) != expected:
             raise ValueError(f"positions must be {expected} for {len(world_idx)} worlds, got {tuple(positions.shape)}")
         if not torch.isfinite(positions).all():
             raise ValueError("positions must be finite, got NaN or infinity")
         self.positions[world_idx] = positions.to(self.positions)
+        if len(self.models) > 1:
+            self.positions[world_idx] *= self.node_mask[world_idx, :, None]
         self.velocities[world_idx] = 0.0
         self.frozen[world_idx] = False
         self.holder[world_idx] = -1
         self.hold_offsets[world_idx] = 0.0
         self.leashes[world_idx] = NO_LEASH
+        self.gripper_nodes[world_idx] = -1
+        self.closed[world_idx] = False
+        self.gripper_forces[world_idx] = 0.0
         if gripper_nodes is not None:
             self.grasp(world_idx, gripper_nodes)
 
-    def grasp(self, world_idx: torch.Tensor, gripper_nodes: torch.Tensor) -> None:
-        """Let gripper a of some worlds move to node `gripper_nodes[a]` (A,) and hold it there as a pivot."""
-        if tuple(gripper_nodes.shape) != (self.num_grippers,):
-            raise ValueError(f"gripper_nodes must be ({self.num_grippers},), got {tuple(gripper_nodes.shape)}")
-        grippers = torch.arange(self.num_grippers, dtype=torch.int32, device=self.device)
-        self.holder[world_idx[:, None], gripper_nodes] = grippers
-        at_nodes = self.positions[world_idx[:, None], gripper_nodes]
-        self.gripper_positions[world_idx] = at_nodes
-        self.gripper_targets[world_idx] = at_nodes
-        self.leashes[world_idx] = self._direct_leashes(gripper_nodes)
+    def set_material(
+        self,
+        world_idx: torch.Tensor,
+        *,
+        stretch: float | torch.Tensor | None = None,
+        bend: float | torch.Tensor | None = None,
+        mass: float | torch.Tensor | None = None,
+        friction: float | torch.Tensor | None = None,
+        damping: float | torch.Tensor | None = None,
+    ) -> None:
+        """Give some worlds another material, as factors on the values of their models; what is None stays as it is.
 
-    def _direct_leashes(self, gripper_nodes: torch.Tensor) -> torch.Tensor:
-        """Return the lengths between grippers with no third one on the way, `NO_LEASH` for the other pairs, (A, A).
+        Args:
+            world_idx: Worlds to change, (b,) int64.
+            stretch: Factor on the stretch stiffness, > 0, a number or (b,), as all of these.
+            bend: Factor on the bending stiffness, > 0.
+            mass: Factor on all masses, > 0. Nodes that were fixed by a zero inverse mass come free.
+            friction: Factor on the friction, >= 0.
+            damping: Factor on the damping, >= 0.
 
-        A pair with a third gripper in between is limited by the two shorter leashes already; limiting it again would overcorrect.
+        Raises:
+            ValueError: If a factor is not finite or out of its range.
         """
-        nodes = gripper_nodes.cpu()
-        lengths = torch.as_tensor(self.model.geodesic_distances(nodes.numpy()))[nodes]
-        detours = lengths[:, :, None] + lengths[None, :, :]  # (a, via, b)
-        via_an_end = torch.eye(len(nodes), dtype=torch.bool)
-        detours[via_an_end[:, :, None] | via_an_end[None, :, :]] = torch.inf
-        is_direct = lengths < detours.amin(dim=1) * (1.0 - 1e-6)
-        return torch.where(is_direct, lengths, NO_LEASH).to(self.device)
+        variant = self.variants[world_idx].long()
+        if stretch is not None:
+            self.stretch_scale[world_idx] = self._factor("stretch", stretch, len(world_idx), positive=True)
+        if bend is not None:
+            self.bend_scale[world_idx] = self._factor("bend", bend, len(world_idx), positive=True)
+        if mass is not None:
+            factor = self._factor("mass", mass, len(world_idx), positive=True)
+            self.inverse_masses[world_idx] = self._inverse_masses[variant] / factor[:, None]
+        if friction is not None:
+            self.friction[world_idx] = self._friction[variant] * self._factor("friction", friction, len(world_idx))
+        if damping is not None:
+            self.damping[world_idx] = self._damping[variant] * self._factor("damping", damping, len(world_idx))
+
+    def grasp(self, world_idx: torch.Tensor, gripper_nodes: torch.Tensor) -> None:
+        """Let grippers of some worlds move to nodes and close there; what they held before is let go.
+
+        A gripper holds the node, and all nodes within `patch_radius` of it through the material, at their places relative to it.
+
+        Args:
+            world_idx: Worlds, (b,) int64.
+            gripper_nodes: Node of each gripper, (A,) or (b, A) int64; -1 opens it and leaves it where it is.
+
+        Raises:
+            ValueError: If the shape does not fit.
+        """
+        shapes = ((self.num_grippers,), (len(world_idx), self.num_grippers))
+        if tuple(gripper_nodes.shape) not in shapes:
+            raise ValueError(f"gripper_nodes must be {shapes[0]} or {shapes[1]}, got {tuple(gripper_nodes.shape)}")
+        nodes = gripper_nodes.to(self.device, torch.int64).expand(len(world_idx), -1)
+        variant = self.variants[world_idx].long()
+        positions = self.positions[world_idx]
+        closes = nodes >= 0
+        pivots = torch.gather(positions, 1, nodes.clamp(min=0)[..., None].expand(-1, -1, 3))
+        for points in (self.gripper_positions, self.gripper_targets):
+            points[world_idx] = torch.where(closes[..., None], pivots, points[world_idx])
+        distance = self._geodesics[variant[:, None], nodes.clamp(min=0)]
+        patches = (distance <= self.patch_radius) & closes[..., None]
+        self._hold(world_idx, patches, pivots, torch.full_like(self.holder[world_idx], -1))
+        self.gripper_nodes[world_idx] = nodes.to(torch.int32)
+        self.closed[world_idx] = closes
+        self.leashes[world_idx] = direct_leashes(self._geodesics, variant, nodes)
+
+    def set_closed(self, closed: torch.Tensor) -> None:
+        """Open and close grippers where they are, between two steps and without synchronising with the host.
+
+        A gripper that closes catches the nearest free node within `capture_radius`, and all others within `patch_radius`, and
+        holds them at their places relative to it. A gripper that opens lets go of what it held. The others are left as they are.
+
+        Args:
+            closed: Which grippers are closed from now on, (B, A) bool.
+        """
+        if tuple(closed.shape) != tuple(self.closed.shape):
+            raise ValueError(f"closed must be {tuple(self.closed.shape)}, got {tuple(closed.shape)}")
+        closed = closed.to(self.device, torch.bool)
+        opens, closes = self.closed & ~closed, closed & ~self.closed
+        releases = (self.holder >= 0) & torch.gather(opens, 1, self.holder.clamp(min=0).long())
+        holder = torch.where(releases, -1, self.holder)
+        gaps = (self.positions[:, None] - self.gripper_positions[:, :, None]).norm(dim=-1)
+        gaps = gaps.masked_fill(((holder >= 0) | ~self.node_mask)[:, None], torch.inf)
+        nearest_gap, nearest = gaps.min(dim=-1)
+        catches = closes & (nearest_gap <= self.capture_radius)
+        reach = torch.where(catches, nearest_gap.clamp(min=self.patch_radius), -1.0)
+        everywhere = torch.arange(self.num_worlds, device=self.device)
+        self._hold(everywhere, gaps <= reach[..., None], self.gripper_positions, holder)
+        kept = torch.where(opens, -1, self.gripper_nodes)
+        self.gripper_nodes.copy_(torch.where(catches, nearest.to(torch.int32), kept))
+        self.closed.copy_(closed)
+        self._renew_leashes((opens | closes).any(dim=1))
+
+    def _hold(
+        self, world_idx: torch.Tensor, patches: torch.Tensor, grippers: torch.Tensor, holder: torch.Tensor
+    ) -> None:
+        """Let grippers at (b, A, 3) hold the nodes of their patches (b, A, N) that are free in `holder` (b, N)."""
+        positions = self.positions[world_idx]
+        offsets = torch.where((holder >= 0)[..., None], self.hold_offsets[world_idx], 0.0)
+        for gripper in range(self.num_grippers):
+            takes = patches[:, gripper] & (holder < 0) & self.node_mask[world_idx]
+            offsets = torch.where(takes[..., None], positions - grippers[:, gripper, None], offsets)
+            holder = torch.where(takes, gripper, holder)
+        self.holder[world_idx] = holder.to(torch.int32)
+        self.hold_offsets[world_idx] = offsets
+
+    def _renew_leashes(self, worlds: torch.Tensor) -> None:
+        """Recompute the leashes of worlds (B,) whose grasps changed.
+
+        A gripper does not sit on its node exactly: what it is off shortens its leashes, but never below the present distance.
+        """
+        nodes = self.gripper_nodes.long()
+        leashes = direct_leashes(self._geodesics, self.variants.long(), nodes)
+        pivots = torch.gather(self.positions, 1, nodes.clamp(min=0)[..., None].expand(-1, -1, 3))
+        off = (pivots - self.gripper_positions).norm(dim=-1)
+        apart = (self.gripper_positions[:, :, None] - self.gripper_positions[:, None]).norm(dim=-1)
+        shortened = torch.maximum(leashes - off[:, :, None] - off[:, None], apart)
+        leashes = torch.where(leashes < NO_LEASH, shortened, leashes)
+        self.leashes.copy_(torch.where(worlds[:, None, None], leashes, self.leashes))
+
+    def _set_variants(self, world_idx: torch.Tensor, variants: torch.Tensor) -> None:
+        if tuple(variants.shape) != (len(world_idx),):
+            raise ValueError(f"variants must be ({len(world_idx)},), got {tuple(variants.shape)}")
+        if len(variants) and not (variants.min() >= 0 and variants.max() < len(self.models)):
+            raise ValueError(f"variants must be in [0, {len(self.models) - 1}], got {variants.min()} to {variants.max()}")
+        variants = variants.to(self.device, torch.int64)
+        self.variants[world_idx] = variants.to(torch.int32)
+        self.node_mask[world_idx] = self._node_masks[variants]
+        self.inverse_masses[world_idx] = self._inverse_masses[variants]
+        self.friction[world_idx] = self._friction[variants]
+        self.damping[world_idx] = self._damping[variants]
+        self.stretch_scale[world_idx] = 1.0
+        self.bend_scale[world_idx] = 1.0
+
+    def _factor(self, name: str, value: float | torch.Tensor, count: int, *, positive: bool = False) -> torch.Tensor:
+        factor = torch.as_tensor(value, dtype=torch.float32, device=self.device).expand(count)
+        low = factor > 0.0 if positive else factor >= 0.0
+        if not (torch.isfinite(factor) & low).all():
+            raise ValueError(f"the factor on {name} must be finite and {'> 0' if positive else '>= 0'}, got {value}")
+        return factor
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that the next step depends on, each as a copy (B, D) in float32."""
@@ -175,36 +354,93 @@ class Solver:
             if value.ndim != 2 or value.shape[1] != width:
                 raise ValueError(f"state {name!r} must be (worlds, {width}), got {tuple(value.shape)}")
             tensor[rows] = value.reshape(-1, *tensor.shape[1:]).to(tensor)
+        self.node_mask[rows] = self._node_masks[self.variants[rows].long()]
+
+    @property
+    def _state_tensors(self) -> dict[str, torch.Tensor]:
+        names = [
+            "positions", "velocities", "inverse_masses", "gravity", "plane", "friction", "damping", "stretch_scale", "bend_scale",
+            "gripper_positions", "gripper_targets", "gripper_nodes", "closed", "holder", "hold_offsets", "leashes", "frozen",
+        ]  # fmt: skip
+        if len(self.models) > 1:
+            names.append("variants")
+        if self.colliders:
+            names += ["collider_positions", "collider_rotations", "collider_sizes", "collider_active"]
+        return {name: getattr(self, name) for name in names}
+
+    def _allocate_variants(self) -> None:
+        """Tabulate what differs between variants, padded to N nodes: (M, N, ...)."""
+        device, count = self.device, len(self.models)
+        self._geodesics = torch.as_tensor(geodesic_table(self.models), device=device)
+        self._rest_positions = torch.zeros(count, self.num_nodes, 3, device=device)
+        self._inverse_masses = torch.zeros(count, self.num_nodes, device=device)
+        self._node_masks = torch.zeros(count, self.num_nodes, dtype=torch.bool, device=device)
+        for index, model in enumerate(self.models):
+            self._rest_positions[index, : model.num_nodes] = torch.as_tensor(model.rest_positions)
+            self._inverse_masses[index, : model.num_nodes] = 1.0 / torch.as_tensor(model.masses)
+            self._node_masks[index, : model.num_nodes] = True
+        self._friction = torch.tensor([model.friction for model in self.models], device=device)
+        self._damping = torch.tensor([model.damping for model in self.models], device=device)
 
     def _allocate_state(self) -> None:
-        shape, device = (self.num_worlds, self.model.num_nodes), self.device
-        rest = torch.as_tensor(self.model.rest_positions, device=device)
-        self.positions = rest.repeat(self.num_worlds, 1, 1)
+        shape, device = (self.num_worlds, self.num_nodes), self.device
+        self.variants = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
+        self.node_mask = self._node_masks[:1].repeat(self.num_worlds, 1)
+        self.positions = self._rest_positions[:1].repeat(self.num_worlds, 1, 1)
         self.velocities = torch.zeros(*shape, 3, device=device)
-        masses = torch.as_tensor(self.model.masses, device=device)
-        self.inverse_masses = (1.0 / masses).repeat(self.num_worlds, 1)
+        self.inverse_masses = self._inverse_masses[:1].repeat(self.num_worlds, 1)
         self.gravity = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=device).repeat(self.num_worlds, 1)
         self.plane = torch.tensor([0.0, 0.0, 1.0, 0.0], device=device).repeat(self.num_worlds, 1)
         self.friction = torch.full((self.num_worlds,), self.model.friction, device=device)
+        self.damping = torch.full((self.num_worlds,), self.model.damping, device=device)
+        self.stretch_scale = torch.ones(self.num_worlds, device=device)
+        self.bend_scale = torch.ones(self.num_worlds, device=device)
         self.gripper_positions = torch.zeros(self.num_worlds, self.num_grippers, 3, device=device)
         self.gripper_targets = torch.zeros_like(self.gripper_positions)
+        self.gripper_forces = torch.zeros_like(self.gripper_positions)
+        self.gripper_nodes = torch.full((self.num_worlds, self.num_grippers), -1, dtype=torch.int32, device=device)
+        self.closed = torch.zeros(self.num_worlds, self.num_grippers, dtype=torch.bool, device=device)
         self.holder = torch.full(shape, -1, dtype=torch.int32, device=device)
         self.hold_offsets = torch.zeros(*shape, 3, device=device)
         self.leashes = torch.full((self.num_worlds, self.num_grippers, self.num_grippers), NO_LEASH, device=device)
         self.frozen = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
-        self._previous = torch.zeros_like(self.positions)
-        self._backup = torch.zeros_like(self.positions)
-        self._directions = torch.zeros(self.num_worlds, len(self.model.edges), 3, device=device)
-        self._upper = torch.zeros(self.num_worlds, len(self.model.edges), device=device)
-        self._multipliers = torch.zeros_like(self._upper)
 
-    @property
-    def _state_tensors(self) -> dict[str, torch.Tensor]:
-        names = (
-            "positions velocities inverse_masses gravity plane friction gripper_positions gripper_targets "
-            "holder hold_offsets leashes frozen"
-        ).split()
-        return {name: getattr(self, name) for name in names}
+    def _allocate_colliders(self) -> None:
+        device, shape = self.device, (self.num_worlds, len(self.colliders))
+        self.collider_positions = torch.zeros(*shape, 3, device=device)
+        self.collider_rotations = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(*shape, 1)
+        sizes = np.array([collider.size for collider in self.colliders], dtype=np.float32).reshape(-1, 3)
+        self.collider_sizes = torch.as_tensor(sizes, device=device).repeat(self.num_worlds, 1, 1)
+        self.collider_active = torch.ones(shape, dtype=torch.bool, device=device)
+
+    def _allocate_scratch(self) -> None:
+        """Allocate what the kernel needs within one step; nothing here outlives it."""
+        device, count, features = self.device, self.num_worlds, self._features
+
+        def scratch(*shape: int, used: bool = True, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+            return torch.zeros(count, *(shape if used else [1] * len(shape)), dtype=dtype, device=device)
+
+        nodes, slots = self.num_nodes, self.num_nodes * SLOTS
+        self._previous, self._backup, self._reactions = (scratch(nodes, 3) for _ in range(3))
+        self._weights = scratch(nodes)
+        self._tether_impulses = torch.zeros(count, self.num_grippers, nodes if features.tethers else 1, 3, device=device)
+        edges = max(len(model.edges) for model in self.models)
+        self._directions, self._upper, self._multipliers = scratch(edges, 3), scratch(edges), scratch(edges)
+        used = features.self_contact
+        blocks = 2 * nodes // BLOCK + 1 if used else 1  # a cloth has less than two triangles for each node
+        self._contacts = {
+            "nodes": (torch.zeros(count, slots if used else 1, 4, dtype=torch.int32, device=device), wp.vec4i),
+            "sides": (scratch(slots, used=used), wp.float32),
+            "gaps": (scratch(slots, used=used), wp.float32),
+            "weights": (torch.zeros(count, slots if used else 1, 4, device=device), wp.vec4),
+            "impulses": (torch.zeros(count, slots if used else 1, 3, device=device), wp.vec3),
+            "counts": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
+            "of_node": (scratch(nodes, MAX_CONTACTS_PER_NODE, used=used, dtype=torch.int32), wp.int32),
+            "num_of_node": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
+            "num_active": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
+            "block_spheres": (torch.zeros(count, blocks, 4, device=device), wp.vec4),
+            "block_speeds": (torch.zeros(count, blocks, device=device), wp.float32),
+        }
 
     def _choose_num_threads(self, num_threads: int | None) -> int:
         if self.device.type == "cuda":
@@ -213,43 +449,51 @@ class Solver:
         wanted = num_threads or min(available, self.num_worlds // MIN_WORLDS_PER_THREAD)
         return max(1, min(wanted, self.num_worlds))
 
+    def _choose_block_dim(self) -> int:
+        if self.device.type != "cuda":
+            return 1
+        return LARGE_BLOCK_DIM if self.num_nodes > LARGE_OBJECT else SMALL_BLOCK_DIM
+
     def _record_commands(self, num_threads: int) -> list[wp.Launch]:
         """Record one launch per thread, each over a contiguous share of the worlds."""
-        device = str(self.device)
-        block_dim = CUDA_BLOCK_DIM if self.device.type == "cuda" else 1
-        dt = self.control_dt / self.substeps
-        constants = [*self._constraint_arrays(device), self.model.radius, math.exp(-self.model.damping * dt)]
+        wp.init()
+        device, block_dim = str(self.device), self._choose_block_dim()
+        objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
+        time = [self.substeps, max(1, self.substeps // SEARCHES_PER_STEP), self.control_dt / self.substeps]
         world_tensors = [
-            (self.gravity, wp.vec3), (self.plane, wp.vec4), (self.friction, wp.float32), (self.inverse_masses, wp.float32),
-            (self.holder, wp.int32), (self.hold_offsets, wp.vec3), (self.leashes, wp.float32),
-            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3), (self.velocities, wp.vec3),
-            (self.frozen, wp.bool), (self._previous, wp.vec3), (self._backup, wp.vec3),
-            (self._directions, wp.vec3), (self._upper, wp.float32), (self._multipliers, wp.float32),
+            (self.variants, wp.int32), (self.gravity, wp.vec3), (self.plane, wp.vec4), (self.friction, wp.float32),
+            (self.damping, wp.float32), (self.stretch_scale, wp.float32), (self.bend_scale, wp.float32),
+            (self.inverse_masses, wp.float32), (self.holder, wp.int32), (self.hold_offsets, wp.vec3),
+            (self.gripper_nodes, wp.int32), (self.leashes, wp.float32),
+            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3),
+            (self.velocities, wp.vec3), (self.frozen, wp.bool), (self.gripper_forces, wp.vec3),
+            (self._previous, wp.vec3), (self._backup, wp.vec3), (self._weights, wp.float32), (self._reactions, wp.vec3),
+            (self._tether_impulses, wp.vec3), (self._directions, wp.vec3), (self._upper, wp.float32),
+            (self._multipliers, wp.float32),
         ]  # fmt: skip
         commands = []
+        self._uploaded = [objects]  # keeps device memory alive that only recorded launches refer to
         for part in range(num_threads):
             worlds = slice(part * self.num_worlds // num_threads, (part + 1) * self.num_worlds // num_threads)
             arrays = [wp.from_torch(tensor[worlds], dtype=dtype) for tensor, dtype in world_tensors]
+            obstacles, meshes = upload_obstacles(self.colliders, device)
+            if self.colliders:
+                obstacles.positions = wp.from_torch(self.collider_positions[worlds], dtype=wp.vec3)
+                obstacles.rotations = wp.from_torch(self.collider_rotations[worlds], dtype=wp.vec4)
+                obstacles.sizes = wp.from_torch(self.collider_sizes[worlds], dtype=wp.vec3)
+                obstacles.active = wp.from_torch(self.collider_active[worlds], dtype=wp.bool)
+            contacts = SelfContacts()
+            for name, (tensor, dtype) in self._contacts.items():
+                setattr(contacts, name, wp.from_torch(tensor[worlds], dtype=dtype))
+            self._uploaded += [obstacles, meshes, contacts]
             commands.append(
                 wp.launch(
-                    step_worlds,
+                    build_step_kernel(self._features),
                     dim=(worlds.stop - worlds.start, block_dim),
-                    inputs=[*constants, self.substeps, dt, *arrays],
+                    inputs=[objects, obstacles, *time, *arrays, contacts],
                     device=device,
                     block_dim=block_dim,
                     record_cmd=True,
                 )
             )
         return commands
-
-    def _constraint_arrays(self, device: str) -> list[wp.array]:
-        """Hand the constraints to Warp in the order of the kernel's arguments, bends sorted by colour."""
-        model = self.model
-        order, color_offsets = color_constraints(model.bends)
-        return [
-            wp.array(model.rest_lengths, dtype=float, device=device),
-            wp.array(model.stretch_compliances, dtype=float, device=device),
-            wp.array(model.bends[order], dtype=wp.vec3i, device=device),
-            wp.array(model.bend_compliances[order], dtype=float, device=device),
-            wp.array(color_offsets, dtype=int, device=device),
-        ]

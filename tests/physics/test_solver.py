@@ -22,7 +22,7 @@ def held_solver(num_worlds: int, **options) -> Solver:
 
 
 def random_moves(num_worlds: int, num_steps: int, seed: int = 0) -> torch.Tensor:
-    """Full-speed gripper moves that keep their direction for ten steps, (T, B, A, 3); a world's moves depend on its index only."""
+    """Full-speed gripper moves that keep their direction for ten steps, (T, B, A, 3), the same for a world in any batch."""
     moves = []
     for world in range(num_worlds):
         generator = torch.Generator().manual_seed(1000 * seed + world)
@@ -215,7 +215,7 @@ def test_reset_refuses_wrong_shapes_and_non_finite_positions():
 
 @pytest.mark.parametrize(
     "options",
-    [{"linear_density": 0.0}, {"stretch_stiffness": -1.0}, {"bend_stiffness": float("nan")}, {"friction": -0.1}, {"damping": -1.0}],
+    [{"linear_density": 0.0}, {"stretch_stiffness": -1.0}, {"bend_stiffness": np.nan}, {"friction": -0.1}, {"damping": -1.0}],
 )
 def test_material_refuses_non_physical_values(options):
     with pytest.raises(ValueError, match=next(iter(options))):

@@ -1,0 +1,166 @@
+"""Object variants and obstacles laid out in memory as the kernel reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import warp as wp
+
+from maniskill_grpd.physics.colliders import MAX_POLYGON_VERTICES, Collider
+from maniskill_grpd.physics.coloring import color_constraints
+from maniskill_grpd.physics.kernels import Features, Objects, Obstacles
+from maniskill_grpd.physics.model import Model
+
+# Parts of an object that are closer through the material than this many radii plus edges do not collide with each other.
+EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
+
+
+def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
+    """Return what the kernel must be able to do."""
+    return Features(
+        bends=any(len(model.bends) > 0 for model in models),
+        hinges=any(len(model.hinges) > 0 for model in models),
+        tethers=any(np.isfinite(model.max_strain) for model in models),
+        colliders=len(colliders) > 0,
+        self_contact=self_collision,
+    )
+
+
+def geodesic_table(models: Sequence[Model]) -> np.ndarray:
+    """Return the distance through the object from every node (row) to every other, (M, N, N) float32 [m], inf in the padding."""
+    width = max(model.num_nodes for model in models)
+    table = np.full((len(models), width, width), np.inf, dtype=np.float32)
+    for index, model in enumerate(models):
+        count = model.num_nodes
+        table[index, :count, :count] = model.geodesic_distances(np.arange(count)).T
+    return table
+
+
+def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) -> Objects:
+    """Hand the constraints of all variants to Warp, sorted by colour."""
+
+    def array(values: np.ndarray, dtype: type) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
+
+    objects = Objects()
+    objects.node_counts = array([model.num_nodes for model in models], int)
+    objects.radii = array([model.radius for model in models], float)
+    objects.max_stretch = array([1.0 + model.max_strain for model in models], float)
+    lines = _lines_by_color(models)
+    objects.line_ranges, objects.line_colors = array(lines["ranges"], int), array(lines["colors"], int)
+    objects.line_edges, objects.line_nodes = array(lines["edges"], int), array(lines["nodes"], int)
+    objects.rest_lengths = array(lines["rest_lengths"], float)
+    objects.stretch_compliances = array(lines["compliances"], float)
+
+    ranges, colors, (nodes, compliances) = _by_color([(model.bends, model.bend_compliances) for model in models])
+    objects.bend_ranges, objects.bend_colors, objects.bends = array(ranges, int), array(colors, int), array(nodes, wp.vec3i)
+    objects.bend_compliances = array(compliances, float)
+
+    hinges = [(model.hinges, model.hinge_weights, model.hinge_compliances) for model in models]
+    ranges, colors, (nodes, weights, compliances) = _by_color(hinges)
+    objects.hinge_ranges, objects.hinge_colors, objects.hinges = array(ranges, int), array(colors, int), array(nodes, wp.vec4i)
+    objects.hinge_weights, objects.hinge_compliances = array(weights, wp.vec4), array(compliances, float)
+
+    mesh_edges = [(model.edges if model.mesh_edges is None else model.mesh_edges,) for model in models]
+    ranges, colors, (nodes,) = _by_color(mesh_edges)
+    objects.mesh_edge_ranges, objects.mesh_edge_colors = array(ranges, int), array(colors, int)
+    objects.mesh_edges = array(nodes, wp.vec2i)
+
+    elements = [_elements(model) for model in models]
+    objects.element_starts = array(_starts([len(nodes) for nodes, _ in elements]), int)
+    objects.elements = array(_join([nodes for nodes, _ in elements], 3), wp.vec3i)
+    objects.element_radii = array(_join([radii for _, radii in elements], 0), float)
+    objects.owner_counts = array([model.num_nodes - (len(model.faces) == 0) for model in models], int)
+    objects.is_rope = array([len(model.faces) == 0 for model in models], wp.bool)
+    lengths = [float(model.rest_lengths.mean()) for model in models]
+    exclusions = [
+        EXCLUSION_RADII * model.radius + EXCLUSION_EDGES * length for model, length in zip(models, lengths, strict=True)
+    ]
+    objects.exclusions = array(exclusions, float)
+    objects.geodesics = geodesics
+    return objects
+
+
+def upload_obstacles(colliders: Sequence[Collider], device: str) -> tuple[Obstacles, list[wp.Mesh]]:
+    """Hand the shapes of the colliders to Warp. The meshes live as long as the list that is returned with them."""
+    polygons = np.zeros((len(colliders), MAX_POLYGON_VERTICES, 2), dtype=np.float32)
+    meshes: list[wp.Mesh] = []
+    handles = np.zeros(len(colliders), dtype=np.uint64)
+    for index, collider in enumerate(colliders):
+        if collider.polygon is not None:
+            polygons[index, : len(collider.polygon)] = collider.polygon
+        if collider.vertices is not None:
+            points = wp.array(collider.vertices, dtype=wp.vec3, device=device)
+            meshes.append(wp.Mesh(points, wp.array(collider.faces.ravel(), dtype=int, device=device)))
+            handles[index] = meshes[-1].id
+    obstacles = Obstacles()
+    obstacles.kinds = wp.array([int(collider.kind) for collider in colliders], dtype=int, device=device)
+    sizes = [0 if collider.polygon is None else len(collider.polygon) for collider in colliders]
+    obstacles.polygon_sizes = wp.array(sizes, dtype=int, device=device)
+    obstacles.polygons = wp.array(polygons, dtype=wp.vec2, device=device)
+    obstacles.meshes = wp.array(handles, dtype=wp.uint64, device=device)
+    return obstacles, meshes
+
+
+def _starts(counts: Sequence[int]) -> np.ndarray:
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+
+
+def _join(parts: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """Concatenate, and give an empty list the right number of columns."""
+    return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0)
+
+
+def _lines_by_color(models: Sequence[Model]) -> dict[str, np.ndarray]:
+    """Lay out the lines of all variants: `ranges` and `colors` as in `_by_color`, first edge of each line, nodes and columns."""
+    counts, colors, lines, columns, total = [], [], [], [], 0
+    for model in models:
+        order, offsets = color_constraints(model.lines)
+        sorted_lines = [model.lines[index] for index in order]
+        colors.append(offsets + total)
+        counts.append(len(offsets))
+        total += len(order)
+        lines += sorted_lines
+        number = {tuple(sorted(nodes)): edge for edge, nodes in enumerate(model.edges.tolist())}
+        edges = [number[tuple(sorted(pair))] for line in sorted_lines for pair in pairwise(line.tolist())]
+        columns.append((model.rest_lengths[edges], model.stretch_compliances[edges]))
+    return {
+        "ranges": _starts(counts),
+        "colors": np.concatenate(colors).astype(np.int32),
+        "edges": _starts([len(line) - 1 for line in lines]),
+        "nodes": np.concatenate(lines).astype(np.int32),
+        "rest_lengths": np.concatenate([rest_lengths for rest_lengths, _ in columns]),
+        "compliances": np.concatenate([compliances for _, compliances in columns]),
+    }
+
+
+def _by_color(variants: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Sort the constraints of each variant by colour and put the variants one after the other.
+
+    Args:
+        variants: For each variant the nodes (C, k) of its constraints and further columns, each (C, ...).
+
+    Returns:
+        ranges: First entry of each variant in `colors`, closed by its length, (M + 1,) int32.
+        colors: First constraint of each colour, and behind the last colour of a variant the end of its constraints, int32.
+        columns: The columns of all variants in that order.
+    """
+    counts, colors, sorted_columns, total = [], [], [], 0
+    for columns in variants:
+        order, offsets = color_constraints(columns[0])
+        colors.append(offsets + total)
+        counts.append(len(offsets))
+        sorted_columns.append([column[order] for column in columns])
+        total += len(order)
+    joined = [np.concatenate(column) for column in zip(*sorted_columns, strict=True)]
+    return _starts(counts), np.concatenate(colors).astype(np.int32), joined
+
+
+def _elements(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return the triangles of a cloth, or the segments of a rope with their second node twice, and their extent [m]."""
+    if len(model.faces) == 0:
+        return model.edges[:, [0, 1, 1]], model.rest_lengths
+    corners = model.rest_positions[model.faces]
+    return model.faces, np.linalg.norm(corners - corners[:, :1], axis=-1).max(axis=1)
