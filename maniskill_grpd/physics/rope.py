@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,6 +10,10 @@ import numpy as np
 from maniskill_grpd.physics.curves import polyline_length, resample_polyline
 from maniskill_grpd.physics.model import Model
 
+COARSEST_SUBSTEPS = 20
+"""Substeps of a control step for segments of `REFERENCE_SEGMENT` and longer."""
+REFERENCE_SEGMENT = 0.02
+"""Segment length [m] below which substeps grow in proportion: a taut rope is stable up to the tension rho l^2 / (3 dt^2)."""
 
 @dataclass(frozen=True, kw_only=True)
 class RopeMaterial:
@@ -90,5 +95,6 @@ def rope(
         bend_compliances=np.full(len(bends), bend_compliance, dtype=np.float32),
         arc=np.linspace(0.0, 1.0, num_nodes, dtype=np.float32),
         length=length,
+        default_substeps=max(COARSEST_SUBSTEPS, math.ceil(COARSEST_SUBSTEPS * REFERENCE_SEGMENT / segment - 1e-6)),
         node_sets={"ends": np.array([0, num_nodes - 1])},
     )
