@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
 import statistics
 import sys
 import time
@@ -22,6 +20,7 @@ from pathlib import Path
 import gymnasium as gym
 import mani_skill.envs  # noqa: F401  (registers PickCube-v1)
 import torch
+from machine import describe_machine
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.registration import register_env
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
@@ -118,20 +117,6 @@ def to_markdown(rows: list[dict]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def machine() -> dict[str, str | int]:
-    """Describe what the figures were measured on."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return {
-        "cpu": names[0] if names else platform.processor(),
-        "cores": os.cpu_count() or 1,
-        "torch_threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-
-
 def main() -> None:
     """Parse the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -144,10 +129,11 @@ def main() -> None:
     table = to_markdown(rows)
     sys.stdout.write(table)
     if arguments.json:
-        arguments.json.write_text(json.dumps([{**row, "machine": machine()} for row in rows], indent=1) + "\n")
+        arguments.json.write_text(json.dumps([{**row, "machine": describe_machine()} for row in rows], indent=1) + "\n")
     if arguments.markdown:
         command = "python benchmarks/env.py" + (" --quick" if arguments.quick else "")
-        arguments.markdown.write_text(f"# Environment throughput\n\n`{command}` on {machine()}\n\n{table}")
+        place = ", ".join(f"{key} {value}" for key, value in describe_machine().items())
+        arguments.markdown.write_text(f"# Environment throughput\n\n`{command}` on: {place}.\n\n{table}")
 
 
 if __name__ == "__main__":
