@@ -1,14 +1,14 @@
-"""Clone an expert's behaviour: a fast check that a policy can represent a solution, and a warm start.
+"""Clone an expert: a fast check that a policy can represent a solution, and a warm start.
 
 python baselines/bc.py --policy grpd --env_id RopeShaping-v1 --num_episodes 200
-python baselines/bc.py --policy grpd empn hetero_gnn transformer --markdown docs/results/behaviour_cloning.md
+python baselines/bc.py --policy grpd empn hetero_gnn transformer --markdown FILE
 
-Demonstrations come from the task's expert, at poses from `train_pose_range`, or from a file that ManiSkill's RecordEpisode
-wrote. Every policy learns from the same ones and is then played on unseen seeds: at poses of that range; at such poses with
-the whole scene turned, in orientations that no demonstration had; and at poses of `test_pose_range`. Each goes to
-runs/{exp_name}/{policy}/:
-config.json, results.json and final_ckpt.pt, which baselines/evaluate.py plays and baselines/train.py --checkpoint goes on
-from.
+Demonstrations come from the task's expert, at poses from `train_pose_range`, or from a file that
+ManiSkill's RecordEpisode wrote. Every policy learns from the same ones and is then played on
+unseen seeds: at poses of that range; at such poses with the whole scene turned, in orientations
+that no demonstration had; and at poses of `test_pose_range`. Each goes to
+runs/{exp_name}/{policy}/: config.json, results.json and final_ckpt.pt, which
+baselines/evaluate.py plays and baselines/train.py --checkpoint goes on from.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class BCConfig:
     action_noise: float = 0.3
     """noise per axis on executed, not on recorded actions, in units of the largest action"""
     train_pose_range: Literal["full", "half", "quarter"] = "quarter"
-    """share of the pose ranges that demonstrations come from; quarter: start and goal within 45 degrees"""
+    """share of the pose ranges that is demonstrated; quarter: start and goal within 45 degrees"""
     test_pose_range: Literal["full", "half", "quarter"] = "full"
     """share of the pose ranges that the policies are also played on"""
 
     loss: Literal["mse", "nll"] = "mse"
-    """mse: squared error of the mean; leaves the noise as it is, for exploration. nll: negative log-likelihood"""
+    """mse: squared error of the mean, leaves the noise alone; nll: negative log-likelihood"""
     epochs: int = 16
     """passes over the demonstrations"""
     batch_size: int = 200
@@ -194,7 +194,8 @@ def train_policy(
     train, held_out = demonstrations.split(num_held_out, generator)
     if not len(train):
         raise ValueError(
-            f"all {num_held_out} episodes are held out; give more episodes or a smaller validation_share"
+            f"all {num_held_out} episodes are held out; give more episodes or a smaller "
+            "validation_share"
         )
     policy.normalizer.update(demonstrations.select(train)[0])
     optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
@@ -247,7 +248,7 @@ LOSSES = {"mse": mean_squared_error, "nll": negative_log_likelihood}
 
 @torch.no_grad()
 def relative_error(policy: Policy, demonstrations: Demonstrations, index: torch.Tensor) -> float:
-    """Root mean square of |mean - action| over that of |action|; 1 for a policy that stands still."""
+    """Root mean square of |mean - action| over that of |action|; 1 for standing still."""
     error = size = 0.0
     for part in index.split(EVALUATION_CHUNK):
         graph, actions = demonstrations.select(part)
@@ -367,10 +368,10 @@ def _describe_source(config: BCConfig, demonstrations: Demonstrations) -> str:
     if config.demonstrations is not None:
         return f"{demonstrations.num_episodes} episodes in {config.demonstrations.name}"
     return (
-        f"{demonstrations.num_episodes} episodes of the expert (the first {config.num_steps} steps of "
-        f"each; start and goal from the {config.train_pose_range} pose range, a quarter being within 45 "
-        f"degrees and 3.75 cm of the middle; noise of {config.action_noise} of the largest action on "
-        "executed, not on recorded actions)"
+        f"{demonstrations.num_episodes} episodes of the expert (the first {config.num_steps} steps "
+        f"of each; start and goal from the {config.train_pose_range} pose range, a quarter being "
+        f"within 45 degrees and 3.75 cm of the middle; noise of {config.action_noise} of the "
+        "largest action on executed, not on recorded actions)"
     )
 
 

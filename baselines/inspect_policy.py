@@ -4,11 +4,14 @@ python baselines/inspect_policy.py --checkpoint runs/NAME/final_ckpt.pt --steps 
 
 Plays one episode and writes to the folder of the checkpoint, or to --out:
 
-sensitivity.png    per actuator and step, how its mean action changes when an object node moves, |d a_v / d p_u| (eq. 11, 47),
-                   drawn on the object: with the node's goal fixed in space, so that its offset from the goal changes too
-contribution.png   per actuator and step, how far its mean action changes when an object node is taken out of the graph
-embedding.png      features of the object nodes after message passing, all steps of the episode, projected on their first two
-                   principal components; coloured by place along the object, distance to the goal and step
+sensitivity.png    per actuator and step, how its mean action changes when an object node moves,
+                   |d a_v / d p_u| (eq. 11, 47), drawn on the object; the node's goal stays fixed in
+                   space, so that its offset from the goal changes too
+contribution.png   per actuator and step, how far its mean action changes when an object node is
+                   taken out of the graph
+embedding.png      features of the object nodes after message passing, all steps of the episode, on
+                   their first two principal components; coloured by place along the object,
+                   distance to the goal and step
 
 and prints how evenly the influence of the nodes is spread. Works for every policy.
 """

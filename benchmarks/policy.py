@@ -2,15 +2,17 @@
 
 python benchmarks/policy.py [--quick] [--json FILE] [--markdown FILE]
 
-Subjects: the four policies at their default sizes (equal numbers of parameters within 10 %); EMPN at GRPD's width; GRPD with the
-same weights and the same kernel but a message formed on every edge and then summed (eq. 2 as written); and an outside peer, an
-equivariant message passing layer of PyTorch Geometric (ViS_MP of ViSNet) of GRPD's width on the same edges, if torch_geometric is
-installed. Each forward pass gives distribution and value of a batch of ropes; the backward pass is that of log-probability plus
-value, to all parameters.
+Subjects: the four policies at their default sizes (equal numbers of parameters within 10 %); EMPN
+at GRPD's width; GRPD with the same weights and the same kernel but a message formed on every edge
+and then summed (eq. 2 as written); and an outside peer, an equivariant message passing layer of
+PyTorch Geometric (ViS_MP of ViSNet) of GRPD's width on the same edges, if torch_geometric is
+installed. Each forward pass gives distribution and value of a batch of ropes; the backward pass
+is that of log-probability plus value, to all parameters.
 
-Other programs may run on the machine: on a CPU the time is that of one thread's own processor time, which does not count waiting for
-a core; in each repeat all subjects take turns, and a ratio is the median of the ratios within a repeat, time of the subject over time
-of GRPD. Peak memory is the largest sum of the tensors alive during a call, over those before it.
+Other programs may run on the machine: on a CPU the time is that of one thread's own processor
+time, which does not count waiting for a core; in each repeat all subjects take turns, and a ratio
+is the median of the ratios within a repeat, time of the subject over time of GRPD. Peak memory is
+the largest sum of the tensors alive during a call, over those before it.
 """
 
 from __future__ import annotations
