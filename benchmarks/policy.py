@@ -21,7 +21,6 @@ import argparse
 import copy
 import json
 import math
-import platform
 import statistics
 import sys
 import time
@@ -30,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from machine import describe_machine
 from torch import nn
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
@@ -443,21 +443,6 @@ def _find(rows: list[dict], policy: str, nodes: int, actuators: int, mode: str) 
     return next(row for row in rows if wanted.items() <= row.items())
 
 
-def machine(device: torch.device) -> dict[str, str | int]:
-    """Describe what the figures were measured on."""
-    cpu = platform.processor()
-    if Path("/proc/cpuinfo").exists():
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        cpu = next((line.split(":")[1].strip() for line in lines if "model name" in line), cpu)
-    name = torch.cuda.get_device_name(device) if device.type == "cuda" else cpu
-    return {
-        "device": name,
-        "torch_threads": torch.get_num_threads(),
-        "torch": torch.__version__,
-        "python": platform.python_version(),
-    }
-
-
 def _synchronize(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
@@ -486,7 +471,7 @@ def main() -> None:
     rows = measure(device=device, quick=arguments.quick)
     tables = to_markdown(rows)
     sys.stdout.write(tables)
-    where = machine(device)
+    where = describe_machine(device.type)
     if arguments.json:
         text = json.dumps([{**row, "machine": where} for row in rows], indent=1)
         arguments.json.write_text(text + "\n")
