@@ -89,13 +89,17 @@ def load_checkpoint(
     if not path.is_file():
         raise FileNotFoundError(f"no checkpoint at {path}")
     data = path.read_bytes()  # apart from the parsing, which reports a cut file as an OSError too
+    unreadable = (
+        f"{path} cannot be read: it is truncated or not a checkpoint of this package "
+        f"({len(data)} bytes)"
+    )
+    # Anything but a zip archive would go to the parser of an old format, which fails in many ways.
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise CheckpointError(unreadable)
     try:
         contents = torch.load(io.BytesIO(data), map_location=device, weights_only=True)
     except _UNREADABLE as error:
-        raise CheckpointError(
-            f"{path} cannot be read: it is truncated or not a checkpoint of this package "
-            f"({len(data)} bytes)"
-        ) from error
+        raise CheckpointError(unreadable) from error
     if not isinstance(contents, dict) or contents.get("format") != FORMAT:
         raise CheckpointError(f"{path} was written by another program, not by maniskill_grpd")
     if contents.get("version") != VERSION:

@@ -56,10 +56,14 @@ def test_truncated_file(tmp_path, kept):
         load_checkpoint(path)
 
 
-def test_foreign_files(tmp_path):
-    (tmp_path / "text.pt").write_text("not a checkpoint")
+@pytest.mark.parametrize("content", [b"not a checkpoint", b"hello\n", b"\x80\x02}q\x00.", bytes(100)])
+def test_files_of_other_formats(tmp_path, content):
+    (tmp_path / "other.pt").write_bytes(content)
     with pytest.raises(CheckpointError, match="not a checkpoint of this package"):
-        load_checkpoint(tmp_path / "text.pt")
+        load_checkpoint(tmp_path / "other.pt")
+
+
+def test_checkpoints_of_other_programs(tmp_path):
     torch.save(ToyPolicy().state_dict(), tmp_path / "weights.pt")
     with pytest.raises(CheckpointError, match="another program"):
         load_checkpoint(tmp_path / "weights.pt")
