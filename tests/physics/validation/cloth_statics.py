@@ -202,11 +202,11 @@ def drape(test: str) -> Iterator[Check]:
     depth = (0.08 + model.radius - x.norm(dim=-1)).clamp(min=0.0)
     yield Check(
         test=test, what="p99 edge strain of a cloth draped over a sphere", equation="< 0.05", expected=0.0,
-        measured=torch.quantile(strain, 0.99).item(), tolerance=0.05, why="the bound the solver must keep",
+        measured=torch.quantile(strain, 0.99).item(), tolerance=0.05, why="required bound",
     )  # fmt: skip
     yield Check(
         test=test, what="p99 penetration of the sphere [m]", equation="< radius", expected=0.0,
-        measured=torch.quantile(depth, 0.99).item(), tolerance=0.5 * model.radius, why="the bound the solver must keep, half the thickness",
+        measured=torch.quantile(depth, 0.99).item(), tolerance=0.5 * model.radius, why="required: half the thickness",
     )  # fmt: skip
     yield Check(
         test=test, what="median difference of heights under a quarter turn [m]", equation="0 by symmetry", expected=0.0,
