@@ -18,9 +18,9 @@ from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.batched_scene import BatchedScene
 from maniskill_grpd.tasks.compute_device import choose_compute_device
-from maniskill_grpd.tasks.drawing import choose_painter
 from maniskill_grpd.tasks.graph_observation import GraphObservation
 from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
+from maniskill_grpd.tasks.painters import choose_painter
 from maniskill_grpd.tasks.render_device import choose_render_device
 from maniskill_grpd.tasks.seeds import expand_seeds
 from maniskill_grpd.tasks.state_layout import StateDict, read_flat, read_rows
