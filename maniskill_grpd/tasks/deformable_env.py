@@ -356,6 +356,16 @@ class DeformableEnv(WorldPictures):
         draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
         return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
 
+    # ------------------------------------------------------------------ pictures
+
+    def _model_of(self, world: int) -> Model:
+        """Return the variant that a world holds."""
+        return self.models[int(self.solver.variants[world])]
+
+    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
+        """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
+        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
+
     # ------------------------------------------------------------------ one control step
 
     def _before_simulation_step(self) -> None:

@@ -32,7 +32,7 @@ GLOSS_EXPONENT = 24.0
 GHOST_ALPHA = 0.38
 MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
 GHOST_LEAD = 0.008
-"""Share of the distance by which a ghost must be nearer than something to cover it: what lies in its goal is not covered."""
+"""Share of the distance by which a ghost must be nearer than something on the table to cover it."""
 EDGE_STEP = 0.0022
 """Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
 EDGE_DARKNESS = 0.35
@@ -85,7 +85,10 @@ class NumpyPainter:
         color = palette.SOLVED if drawing.is_solved else palette.GOAL
         if drawing.goal is not None:
             ghost = self._shaded(ghost_surface(drawing.goal), color, color)
-            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, lead=GHOST_LEAD)
+            # What lies in its goal is not covered: it would take on the colour of the ghost.
+            is_table = self._canvas.nearness == self._with_table.nearness
+            limit = self._canvas.nearness * np.where(is_table, 1.0, 1.0 + GHOST_LEAD)
+            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, limit=limit)
         marks = self._shaded(mark_surface(drawing), color, color)
         self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
 
