@@ -45,7 +45,7 @@ def record_video(
 
 
 def _frame(images: torch.Tensor) -> np.ndarray:
-    """Return pictures (n, H, W, 3 or 4) in a grid, row by row, as uint8 (rows H, columns W, 3) with even sides, as codecs want it."""
+    """Return pictures (n, H, W, 3 or 4) in a grid, row by row, as uint8 (height, width, 3) with even sides, as codecs want it."""
     pictures = images.cpu().numpy()[..., :3].astype(np.uint8)
     columns = math.ceil(math.sqrt(len(pictures)))
     rows = math.ceil(len(pictures) / columns)
