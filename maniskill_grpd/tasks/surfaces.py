@@ -16,7 +16,7 @@ CAP_RINGS = 3
 """Rings of vertices of the round ends of tubes."""
 CREASE_ANGLE = np.deg2rad(35.0)
 """Faces of solids that meet at a smaller angle are shaded as one smooth surface [rad]."""
-GHOST_THICKNESS = 1.6
+GHOST_THICKNESS = 1.45
 """Radius of the ghost of a rope in radii of the rope."""
 MARK_RADIUS = 0.0025
 """Half the thickness of outlines and lines [m]."""
