@@ -31,7 +31,7 @@ AMBIENT, DIRECT, FILL, GLOSS = 0.44, 0.46, 0.18, 0.16
 GLOSS_EXPONENT = 24.0
 GHOST_ALPHA = 0.38
 MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
-GHOST_LEAD = 0.005
+GHOST_LEAD = 0.006
 """Distance by which a ghost must be nearer than something on the table to cover it [m]."""
 EDGE_STEP = 0.0022
 """Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
