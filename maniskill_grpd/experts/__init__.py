@@ -6,8 +6,12 @@ from typing import Any
 
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.experts.rope_shaping_expert import RopeShapingExpert
+from maniskill_grpd.experts.rope_wrapping_expert import RopeWrappingExpert
 
-EXPERTS: dict[str, type[Expert]] = {"RopeShaping-v1": RopeShapingExpert}
+EXPERTS: dict[str, type[Expert]] = {
+    "RopeShaping-v1": RopeShapingExpert,
+    "RopeWrapping-v1": RopeWrappingExpert,
+}
 """Expert classes by the id of their task."""
 
 
@@ -35,4 +39,4 @@ def make_expert(env_id: str, env: Any) -> Expert:
     return expert(env)
 
 
-__all__ = ["EXPERTS", "Expert", "RopeShapingExpert", "make_expert"]
+__all__ = ["EXPERTS", "Expert", "RopeShapingExpert", "RopeWrappingExpert", "make_expert"]
