@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from maniskill_grpd.experts.cloth_folding_expert import ClothFoldingExpert
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.experts.rope_shaping_expert import RopeShapingExpert
 
-EXPERTS: dict[str, type[Expert]] = {"RopeShaping-v1": RopeShapingExpert}
+EXPERTS: dict[str, type[Expert]] = {"ClothFolding-v1": ClothFoldingExpert, "RopeShaping-v1": RopeShapingExpert}
 """Expert classes by the id of their task."""
 
 
@@ -35,4 +36,4 @@ def make_expert(env_id: str, env: Any) -> Expert:
     return expert(env)
 
 
-__all__ = ["EXPERTS", "Expert", "RopeShapingExpert", "make_expert"]
+__all__ = ["EXPERTS", "ClothFoldingExpert", "Expert", "RopeShapingExpert", "make_expert"]
