@@ -67,7 +67,7 @@ class DeformableEnv(WorldPictures):
             SAPIEN can draw, or any of them joined as in "state+graph" and "graph+rgb".
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
         render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
-            `render_mode="rgb_array"` draws simple pictures with matplotlib.
+            `render_mode="rgb_array"` draws with numpy.
         num_grippers: Number of grippers A, one of `GRIPPER_COUNTS`.
         robot_uids: "floating_grippers_<A>", which drives all of them (default), or a tuple of
             agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions
@@ -355,6 +355,16 @@ class DeformableEnv(WorldPictures):
         """Draw numbers in [-1, 1) for some worlds (b,), from each one's generator, (b, num)."""
         draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
         return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
+
+    # ------------------------------------------------------------------ pictures
+
+    def _model_of(self, world: int) -> Model:
+        """Return the variant that a world holds."""
+        return self.models[int(self.solver.variants[world])]
+
+    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
+        """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
+        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
 
     # ------------------------------------------------------------------ one control step
 

@@ -13,9 +13,9 @@ from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
 from maniskill_grpd.tasks.rasterizer import Canvas, scan
 from maniskill_grpd.tasks.surfaces import (
     Surface,
-    goal_marks,
+    ghost_surface,
     gripper_surfaces,
-    line_dashes,
+    mark_surface,
     surface_of,
     table_lines,
     table_top,
@@ -31,8 +31,8 @@ AMBIENT, DIFFUSE, GLOSS = 0.58, 0.50, 0.16
 GLOSS_EXPONENT = 24.0
 GHOST_ALPHA = 0.38
 MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
-GHOST_ADVANTAGE = -0.008
-"""Share of its distance by which a ghost must be nearer than what lies in it to cover it."""
+GHOST_LEAD = 0.008
+"""Share of the distance by which a ghost must be nearer than something on the table to cover it."""
 EDGE_STEP = 0.0022
 """Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
 EDGE_DARKNESS = 0.35
@@ -76,20 +76,21 @@ class NumpyPainter:
 
     def picture(self) -> torch.Tensor:
         """Return what was drawn last, (1, H, W, 3) uint8 on the CPU."""
-        height, width, _ = self._canvas.colors.shape
-        samples = self._canvas.colors.reshape(height // SAMPLES, SAMPLES, width // SAMPLES, SAMPLES, 3)
-        pixels = samples.mean(axis=(1, 3)).clip(0.0, 1.0) * 255.0
-        return torch.from_numpy(pixels.round().astype(np.uint8)[None])
+        steps = range(SAMPLES)
+        light = sum(self._canvas.colors[row::SAMPLES, column::SAMPLES] for row in steps for column in steps)
+        pixels = (light * (255.0 / SAMPLES**2) + 0.5).clip(0.0, 255.0)
+        return torch.from_numpy(pixels.astype(np.uint8)[None])
 
     def _draw_goal(self, drawing: Drawing) -> None:
         color = palette.SOLVED if drawing.is_solved else palette.GOAL
-        ghost, outlines = goal_marks(drawing.goal)
-        for surface in ghost:
-            self._canvas.glaze(*self._shaded(surface, color, color), alpha=GHOST_ALPHA, advantage=GHOST_ADVANTAGE)
-        for surface in outlines + line_dashes(drawing.lines):
-            self._canvas.glaze(
-                *self._shaded(surface, color, color), alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA
-            )
+        if drawing.goal is not None:
+            ghost = self._shaded(ghost_surface(drawing.goal), color, color)
+            # What lies in its goal is not covered: it would take on the colour of the ghost.
+            is_table = self._canvas.nearness == self._with_table.nearness
+            limit = self._canvas.nearness * np.where(is_table, 1.0, 1.0 + GHOST_LEAD)
+            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, limit=limit)
+        marks = self._shaded(mark_surface(drawing), color, color)
+        self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
 
     def _backdrop(self) -> Canvas:
         shape = (self._camera.height, self._camera.width)
@@ -112,17 +113,19 @@ class NumpyPainter:
             corners, _ = self._camera.project((surface.vertices - heights * light / light[2])[surface.faces])
             fragments = scan(corners, shadow.shape)
             shadow[fragments.rows, fragments.columns] = 1.0
-        shadow = uniform_filter(shadow, SHADOW_BLUR * SAMPLES) * (self._with_table.nearness > 0.0)
-        self._canvas.colors *= (1.0 - SHADOW_DARKNESS * shadow)[..., None]
+        window = _window(shadow > 0.0, SHADOW_BLUR * SAMPLES)
+        shadow = uniform_filter(shadow[window], SHADOW_BLUR * SAMPLES) * (self._with_table.nearness[window] > 0.0)
+        self._canvas.colors[window] *= (1.0 - SHADOW_DARKNESS * shadow)[..., None]
 
     def _draw_edges(self) -> None:
         """Darken what lies just behind the edge of something nearer."""
-        near = self._canvas.nearness
+        window = _window(self._canvas.nearness != self._with_table.nearness, 1)
+        near = self._canvas.nearness[window]
         # The nearness of a plane is linear over the picture: this sees steps, and nothing else.
         step = np.zeros_like(near)
         step[1:-1, 1:-1] = (near[:-2, 1:-1] + near[2:, 1:-1] + near[1:-1, :-2] + near[1:-1, 2:] - 4.0 * near[1:-1, 1:-1])
         strength = EDGE_DARKNESS * np.clip(step / EDGE_STEP - 1.0, 0.0, 1.0)
-        self._canvas.colors *= (1.0 - strength)[..., None]
+        self._canvas.colors[window] *= (1.0 - strength)[..., None]
 
     def _shaded(
         self, surface: Surface, front: tuple[float, ...], back: tuple[float, ...]
@@ -147,3 +150,12 @@ class NumpyPainter:
     def _towards_camera(self, points: np.ndarray) -> np.ndarray:
         directions = self._camera.position - points
         return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def _window(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns in which a mask (H, W) is true, and a margin around them."""
+    bounds = []
+    for axis in (1, 0):
+        at = np.flatnonzero(mask.any(axis=axis))
+        bounds.append(slice(max(at[0] - margin, 0), at[-1] + margin + 1) if len(at) else slice(0, 0))
+    return bounds[0], bounds[1]

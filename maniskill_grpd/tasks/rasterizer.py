@@ -57,7 +57,7 @@ class Canvas:
         *,
         alpha: float,
         hidden_alpha: float = 0.0,
-        advantage: float = 0.0,
+        limit: np.ndarray | None = None,
     ) -> None:
         """Paint the foremost layer of triangles translucently; what lies behind it still counts as the nearest.
 
@@ -67,12 +67,12 @@ class Canvas:
             colors: As for `paint`.
             alpha: Opacity in [0, 1].
             hidden_alpha: Opacity where something opaque is in front, in [0, 1].
-            advantage: Share by which the layer may be further away and still count as in front.
+            limit: Nearness (H, W) beyond which the layer counts as in front, by default that of the image.
         """
         empty = np.zeros_like(self.nearness)
         fragments, depths, values = self._front_layer(corners, nearness, colors, empty)
         at = fragments.rows, fragments.columns
-        is_hidden = depths * (1.0 + advantage) < self.nearness[at]
+        is_hidden = depths < (self.nearness if limit is None else limit)[at]
         opacity = np.where(is_hidden, hidden_alpha, alpha).astype(np.float32)[:, None]
         self.colors[at] += opacity * (values - self.colors[at])
 

@@ -211,8 +211,8 @@ class RopeShapingEnv(DeformableEnv):
 
     def _drawing(self, world: int) -> Drawing:
         return Drawing(
-            object=Tube(self.solver.positions[world].cpu().numpy(), self.solver.model.radius),
-            goal=Tube(self.goal_positions[world].cpu().numpy(), self.solver.model.radius),
+            object=Tube(self._nodes_of(world, self.solver.positions), self.solver.model.radius),
+            goal=Tube(self._nodes_of(world, self.goal_positions), self.solver.model.radius),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
             closed=self.solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),

@@ -8,18 +8,21 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
-from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet, Solid, Tube
+from maniskill_grpd.tasks import palette
+from maniskill_grpd.tasks.drawing import Drawing, Sheet, Solid, Tube
 
 TUBE_SIDES = 12
 CAP_RINGS = 3
 """Rings of vertices of the round ends of tubes."""
 CREASE_ANGLE = np.deg2rad(35.0)
 """Faces of solids that meet at a smaller angle are shaded as one smooth surface [rad]."""
+SIDE_DISTANCE = 0.001
+"""Distance of the two sides of a sheet [m]."""
 GHOST_THICKNESS = 1.6
 """Radius of the ghost of a rope in radii of the rope."""
-OUTLINE_RADIUS = 0.0025
-"""Half the thickness of the outline of a goal [m]."""
-LINE_RADIUS, DASH_LENGTH = 0.0025, 0.02
+MARK_RADIUS = 0.0025
+"""Half the thickness of outlines and lines [m]."""
+DASH_LENGTH = 0.02
 TABLE_HALF_SIZE = 0.8
 TILE_SIZE = 0.1
 """Distance of the lines on the table [m]."""
@@ -51,6 +54,17 @@ def surface_of(body: Tube | Sheet | Solid) -> Surface:
     if isinstance(body, Tube):
         return tube_surface(body.points, body.radius)
     return sheet_surface(body) if isinstance(body, Sheet) else solid_surface(body)
+
+
+def object_sides(body: Tube | Sheet) -> list[tuple[Surface, tuple[float, float, float]]]:
+    """Return surfaces that show their front alone, with their colours: the two sides of a sheet, a hair apart, or a tube."""
+    surface = surface_of(body)
+    if isinstance(body, Tube):
+        return [(surface, palette.FRONT)]
+    offset = SIDE_DISTANCE / 2.0 * surface.normals
+    front = Surface(surface.vertices + offset, surface.faces, surface.normals)
+    back = Surface(surface.vertices - offset, surface.faces[:, ::-1], -surface.normals)
+    return [(front, palette.FRONT), (back, palette.BACK)]
 
 
 def sheet_surface(sheet: Sheet) -> Surface:
@@ -92,19 +106,18 @@ def tube_surface(points: np.ndarray, radius: float) -> Surface:
     return Surface(vertices.reshape(-1, 3), _grid_faces(len(knots)), normals.reshape(-1, 3))
 
 
-def goal_marks(goal: Tube | Sheet | None) -> tuple[list[Surface], list[Surface]]:
-    """Return the ghost of a goal and its outline, holes included. The ghost of a rope is thicker, so it can be seen around one."""
-    if goal is None:
-        return [], []
-    if isinstance(goal, Tube):
-        return [tube_surface(goal.points, GHOST_THICKNESS * goal.radius)], []
-    loops = [goal.vertices[loop] for loop in boundary_loops(goal.faces)]
-    return [sheet_surface(goal)], [tube_surface(loop, OUTLINE_RADIUS) for loop in loops]
+def ghost_surface(goal: Tube | Sheet) -> Surface:
+    """Return the body of a goal; that of a rope is thicker than the rope, so that it can be seen around one."""
+    return tube_surface(goal.points, GHOST_THICKNESS * goal.radius) if isinstance(goal, Tube) else sheet_surface(goal)
 
 
-def line_dashes(lines: tuple[Line, ...]) -> list[Surface]:
-    """Return the dashes of lines."""
-    return [tube_surface(dash, LINE_RADIUS) for line in lines for dash in dashes(line.points, DASH_LENGTH)]
+def mark_surface(drawing: Drawing) -> Surface:
+    """Return the outline of a goal that is a sheet, holes included, and the dashes of all lines."""
+    tubes = [tube_surface(dash, MARK_RADIUS) for line in drawing.lines for dash in dashes(line.points, DASH_LENGTH)]
+    if isinstance(drawing.goal, Sheet):
+        loops = boundary_loops(drawing.goal.faces)
+        tubes += [tube_surface(drawing.goal.vertices[loop], MARK_RADIUS) for loop in loops]
+    return _joined(tubes)
 
 
 def table_top() -> Surface:
@@ -175,7 +188,9 @@ def _open_jaws() -> Surface:
 
 
 def _joined(surfaces: list[Surface]) -> Surface:
-    """Return several surfaces as one."""
+    """Return several surfaces as one, without any vertex if there are none."""
+    if not surfaces:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3)))
     starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces[:-1]])
     return Surface(
         np.concatenate([surface.vertices for surface in surfaces]),
