@@ -12,14 +12,14 @@ LEAST_TURN = torch.pi / 2
 
 
 class TurnedScene(gym.Wrapper):
-    """Turns rope and goal of every episode together about the vertical through the origin.
+    """Turns the worlds of every episode about the vertical through the origin.
 
     An equivariant policy does in the turned scene what it does in the original one. Angles are
     drawn between a quarter and a half turn to either side, one per world and the same after every
     reset, so that results of different policies can be compared.
 
     Args:
-        env: A batched task with `goal_positions`, plain.
+        env: A batched task, plain.
         seed: Of the angles.
     """
 
@@ -34,11 +34,7 @@ class TurnedScene(gym.Wrapper):
         """Start new episodes in all worlds, then turn them."""
         self.env.reset(**options)
         base = self.env.unwrapped
-        worlds = torch.arange(base.num_envs, device=base.device)
-        rotation = self.rotation.to(base.device)
-        base.goal_positions.copy_(base.goal_positions @ rotation.mT)
-        base.solver.reset(worlds, base.solver.positions @ rotation.mT, base._gripper_nodes)
-        base.agent.robot.place(worlds)
+        base.move_worlds(self.rotation, torch.zeros(3))
         info = base.get_info()
         return base.get_obs(info), info
 

@@ -3,6 +3,8 @@
 from maniskill_grpd.agents.delta_position_controller import (
     DeltaPositionController,
     DeltaPositionControllerConfig,
+    DeltaPositionGripController,
+    DeltaPositionGripControllerConfig,
 )
 from maniskill_grpd.agents.floating_grippers import FloatingGrippers
 from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
@@ -10,6 +12,8 @@ from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
 __all__ = [
     "DeltaPositionController",
     "DeltaPositionControllerConfig",
+    "DeltaPositionGripController",
+    "DeltaPositionGripControllerConfig",
     "FloatingGrippers",
     "KinematicArticulation",
 ]

@@ -1,10 +1,12 @@
-"""Controller that moves each gripper by a displacement of limited length."""
+"""Controllers that move each gripper by a displacement of limited length, and may open and close it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from gymnasium import spaces
 from mani_skill.agents.controllers import PDJointPosController, PDJointPosControllerConfig
 
 
@@ -68,3 +70,28 @@ class DeltaPositionControllerConfig(PDJointPosControllerConfig):
 
     step_size: float = 0.03
     controller_cls = DeltaPositionController
+
+
+class DeltaPositionGripController(DeltaPositionController):
+    """Moves every gripper by the first three of its four numbers; it is closed while the fourth is > 0."""
+
+    config: DeltaPositionGripControllerConfig
+
+    def _initialize_action_space(self) -> None:
+        super()._initialize_action_space()
+        per_gripper = self.single_action_space.low.reshape(-1, 3), self.single_action_space.high.reshape(-1, 3)
+        low, high = (np.pad(bound, ((0, 0), (0, 1)), constant_values=g) for bound, g in zip(per_gripper, (-1, 1), strict=True))
+        self.single_action_space = spaces.Box(low.ravel(), high.ravel(), dtype=np.float32)
+
+    def set_action(self, action: torch.Tensor) -> None:
+        """Move the targets by normalised displacements and command the grip, (B, 4 * A)."""
+        per_gripper = action.unflatten(1, (-1, 4))
+        super().set_action(per_gripper[..., :3].flatten(1))
+        self.articulation.command_grip(per_gripper[..., 3] > 0.0)
+
+
+@dataclass
+class DeltaPositionGripControllerConfig(DeltaPositionControllerConfig):
+    """Configuration of `DeltaPositionGripController`."""
+
+    controller_cls = DeltaPositionGripController

@@ -9,7 +9,10 @@ import torch
 from mani_skill.agents.base_agent import BaseAgent
 from mani_skill.agents.registration import register_agent
 
-from maniskill_grpd.agents.delta_position_controller import DeltaPositionControllerConfig
+from maniskill_grpd.agents.delta_position_controller import (
+    DeltaPositionControllerConfig,
+    DeltaPositionGripControllerConfig,
+)
 from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
 
 if TYPE_CHECKING:
@@ -17,29 +20,33 @@ if TYPE_CHECKING:
 
 STEP_SIZE = 0.03
 """Longest displacement of a gripper in one control step [m]: 0.6 m/s at 20 Hz."""
+NUMBERS_PER_GRIPPER = {"pd_ee_delta_pos": 3, "pd_ee_delta_pos_grip": 4}
+"""Numbers of the action per gripper, by the name of the control mode; the first is the default."""
 
 
 class FloatingGrippers(BaseAgent):
     """A grippers that float freely, driven together as one agent.
 
-    Control mode `pd_ee_delta_pos`: a normalised action Box(-1, 1, (3 * A,)), one 3-vector in the
-    world frame per gripper, limited to length 1 and scaled to 3 cm per control step.
+    Control modes, actions normalised to [-1, 1]:
+        pd_ee_delta_pos       Box (3 * A,): one 3-vector in the world frame per gripper, limited to
+                              length 1 and scaled to 3 cm per control step. Grippers stay as they are.
+        pd_ee_delta_pos_grip  Box (4 * A,): per gripper such a vector, then the grip: closed while > 0.
 
-    The scene must have a `solver` with `gripper_positions` and `gripper_targets` (B, A, 3).
+    Several agents may share a scene: each takes the next grippers that are free
+    (`BatchedScene.claim_grippers`).
     """
 
     num_grippers: int
 
     def _load_articulation(self, initial_pose: sapien.Pose | None = None) -> None:
-        solver = self.scene.solver
-        if solver.gripper_positions.shape[1] != self.num_grippers:
-            raise ValueError(
-                f"{self.uid} drives {self.num_grippers} grippers, "
-                f"the scene has {solver.gripper_positions.shape[1]}"
-            )
+        solver, mine = self.scene.solver, self.scene.claim_grippers(self.num_grippers)
         name = self.uid if self._agent_idx is None else f"{self.uid}-agent-{self._agent_idx}"
         self.robot = KinematicArticulation(
-            self.scene, name, solver.gripper_positions, solver.gripper_targets
+            self.scene,
+            name,
+            positions=solver.gripper_positions[:, mine],
+            targets=solver.gripper_targets[:, mine],
+            grip_commands=self.scene.grip_commands[:, mine],
         )
         self.robot_link_names = list(self.robot.links_map)
         self.scene.state_dict_registry.articulations[name] = self.robot
@@ -47,20 +54,23 @@ class FloatingGrippers(BaseAgent):
     @property
     def _controller_configs(self) -> dict[str, DeltaPositionControllerConfig]:
         # Gains are required by ManiSkill and ignored by kinematic joints.
-        config = DeltaPositionControllerConfig(
-            joint_names=[joint.name for joint in self.robot.active_joints],
-            lower=-STEP_SIZE,
-            upper=STEP_SIZE,
-            stiffness=0.0,
-            damping=0.0,
-            use_delta=True,
-            use_target=True,
-            step_size=STEP_SIZE,
-        )
-        return {"pd_ee_delta_pos": config}
+        settings = {
+            "joint_names": [joint.name for joint in self.robot.active_joints],
+            "lower": -STEP_SIZE,
+            "upper": STEP_SIZE,
+            "stiffness": 0.0,
+            "damping": 0.0,
+            "use_delta": True,
+            "use_target": True,
+            "step_size": STEP_SIZE,
+        }
+        return {
+            "pd_ee_delta_pos": DeltaPositionControllerConfig(**settings),
+            "pd_ee_delta_pos_grip": DeltaPositionGripControllerConfig(**settings),
+        }
 
     def set_action(self, action: torch.Tensor) -> None:
-        """Check an action (B, 3 * A) and hand it to the controller.
+        """Check an action (B, 3 * A) or (B, 4 * A) and hand it to the controller.
 
         Raises:
             ValueError: If its shape is wrong or a value is not finite. Nothing has moved then.
@@ -68,7 +78,7 @@ class FloatingGrippers(BaseAgent):
         self.controller.set_action(self._checked(action))
 
     def _checked(self, action: torch.Tensor) -> torch.Tensor:
-        width = 3 * self.num_grippers
+        width = NUMBERS_PER_GRIPPER[self.control_mode] * self.num_grippers
         expected = (self.scene.num_envs, width)
         if tuple(action.shape) != expected:
             allowed = f"{expected} or {(width,)}" if expected[0] == 1 else f"{expected}"
@@ -81,7 +91,7 @@ class FloatingGrippers(BaseAgent):
             raise ValueError(
                 "action must be finite (values beyond [-1, 1] are limited by the length of each "
                 f"gripper's vector), got {action[world, column].item()} in world {world} "
-                f"for gripper {column // 3}"
+                f"for gripper {column // NUMBERS_PER_GRIPPER[self.control_mode]}"
             )
         return action
 

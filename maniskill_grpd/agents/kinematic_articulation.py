@@ -31,15 +31,22 @@ class KinematicArticulation:
     merged = False
 
     def __init__(
-        self, scene: ManiSkillScene, name: str, positions: torch.Tensor, targets: torch.Tensor
+        self,
+        scene: ManiSkillScene,
+        name: str,
+        *,
+        positions: torch.Tensor,
+        targets: torch.Tensor,
+        grip_commands: torch.Tensor,
     ) -> None:
-        """Wrap gripper tensors.
+        """Wrap gripper tensors, which may be those of some of the grippers of a solver.
 
         Args:
             scene: Scene whose `_reset_mask` says which worlds the setters write.
             name: Name in the state dictionary.
-            positions: Gripper positions, (B, A, 3) contiguous [m]; read and written in place.
-            targets: Gripper targets, (B, A, 3) contiguous [m]; written in place.
+            positions: Gripper positions, (B, A, 3) [m]; read and written in place.
+            targets: Gripper targets, (B, A, 3) [m]; written in place.
+            grip_commands: Whether grippers are to be closed, (B, A) bool; written in place.
         """
         self.scene = scene
         self.name = name
@@ -47,6 +54,7 @@ class KinematicArticulation:
         self.qpos = positions.view(len(positions), -1)
         self.qvel = torch.zeros_like(self.qpos)
         self.drive_targets = targets.view(len(targets), -1)
+        self._grip_commands = grip_commands
         self._start_of_motion = self.qpos.clone()
         self._floor: tuple[torch.Tensor, float] | None = None
 
@@ -76,6 +84,10 @@ class KinematicArticulation:
         """Bring the grippers of some worlds (b,) to rest where they are."""
         self.drive_targets[worlds] = self.qpos[worlds]
         self.qvel[worlds] = 0.0
+
+    def command_grip(self, closed: torch.Tensor) -> None:
+        """Say which grippers are to be closed from the next step on, (B, A) bool."""
+        self._grip_commands.copy_(closed)
 
     def set_floor(self, plane: torch.Tensor, clearance: float) -> None:
         """Let targets keep `clearance` [m] from the surface n . x = c of `plane` (B, 4) = (n, c).

@@ -60,7 +60,8 @@ class RopeShapingExpert(Expert):
         """See `Expert.act`."""
         solver = self.env.solver
         goals = self.env.goal_positions
-        offsets = solver.gripper_positions - goals[:, self.env._gripper_nodes]
+        held = self.env.start_nodes
+        offsets = solver.gripper_positions - goals.gather(1, held[..., None].expand(-1, -1, 3))
         motion = (_target_offsets(offsets, self._drag_start(goals)) - offsets) / STEP_SIZE
         length = torch.linalg.vector_norm(motion, dim=-1, keepdim=True)
         return (motion / length.clamp(min=1.0)).flatten(1)
@@ -68,29 +69,28 @@ class RopeShapingExpert(Expert):
     def _drag_start(self, goals: torch.Tensor) -> torch.Tensor:
         """Where the drag starts relative to the goal, w in the class docstring, (B, 3) [m]."""
         normal = self.env.solver.plane[:, :3]
-        return DRAG_DISTANCE * _trailing_direction(goals, self.env._gripper_nodes.tolist()) + (
-            LIFT_HEIGHT * normal
-        )
+        held = self.env.start_nodes.sort(dim=1).values
+        return DRAG_DISTANCE * _trailing_direction(goals, held) + LIFT_HEIGHT * normal
 
 
-def _trailing_direction(goals: torch.Tensor, held: list[int]) -> torch.Tensor:
+def _trailing_direction(goals: torch.Tensor, held: torch.Tensor) -> torch.Tensor:
     """Direction from the chords of the free spans to the spans themselves.
 
     Args:
         goals: Goals of the nodes in the order along the rope, (B, N, 3) [m].
-        held: Nodes held by grippers.
+        held: Nodes held by grippers, in ascending order, (B, A) int64.
 
     Returns:
         Unit vectors in the plane of the goals, (B, 3).
     """
-    nodes = sorted(held)
-    total = torch.zeros_like(goals[:, 0])
-    for first, last in zip(nodes[:-1], nodes[1:], strict=True):
-        span = goals[:, first : last + 1]
-        total += (last - first) * (span.mean(dim=1) - 0.5 * (span[:, 0] + span[:, -1]))
-    chord = goals[:, nodes[-1]] - goals[:, nodes[0]]
-    bulge = torch.linalg.vector_norm(total, dim=-1, keepdim=True) / (nodes[-1] - nodes[0])
-    direction = torch.where(bulge > SMALLEST_BULGE, total, chord)
+    ends = goals.gather(1, held[..., None].expand(-1, -1, 3))
+    # Sums over the spans, both ends included, from the sums up to each node.
+    sums = goals.cumsum(dim=1).gather(1, held[..., None].expand(-1, -1, 3))
+    steps = (held[:, 1:] - held[:, :-1])[..., None]
+    means = (sums[:, 1:] - sums[:, :-1] + ends[:, :-1]) / (steps + 1)
+    total = (steps * (means - 0.5 * (ends[:, 1:] + ends[:, :-1]))).sum(dim=1)
+    bulge = torch.linalg.vector_norm(total, dim=-1, keepdim=True) / (held[:, -1:] - held[:, :1])
+    direction = torch.where(bulge > SMALLEST_BULGE, total, ends[:, -1] - ends[:, 0])
     return torch.nn.functional.normalize(direction, dim=-1)
 
 

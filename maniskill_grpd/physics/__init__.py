@@ -18,9 +18,10 @@ from maniskill_grpd.physics.outlines import (
     triangle_outline,
 )
 from maniskill_grpd.physics.rope import RopeMaterial, rope
-from maniskill_grpd.physics.solver import Solver
+from maniskill_grpd.physics.solver import STANDARD_GRAVITY, Solver
 
 __all__ = [
+    "STANDARD_GRAVITY",
     "ClothMaterial",
     "Collider",
     "Model",

@@ -23,17 +23,24 @@ class BatchedScene(ManiSkillScene):
 
     Attributes:
         solver: The deformable worlds; agents find their grippers in it.
+        grip_commands: Whether each gripper is to be closed, (B, A) bool; obeyed where grasps are free.
     """
 
-    def __init__(self, stage: sapien.Scene, solver: Solver, **settings: Any) -> None:
+    def __init__(
+        self, stage: sapien.Scene, solver: Solver, *, has_free_grasps: bool, **settings: Any
+    ) -> None:
         """Wrap a solver.
 
         Args:
             stage: SAPIEN scene to draw in.
             solver: The deformable worlds.
+            has_free_grasps: Whether grippers open and close when told to.
             settings: Settings of `ManiSkillScene` (sim_config, device, backend).
         """
         self.solver = solver
+        self.grip_commands = torch.ones_like(solver.closed)
+        self._has_free_grasps = has_free_grasps
+        self._num_claimed_grippers = 0
         super().__init__([stage], **settings)
         self._reset_mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
 
@@ -42,12 +49,27 @@ class BatchedScene(ManiSkillScene):
         """Number of worlds."""
         return self.solver.num_worlds
 
+    def claim_grippers(self, num: int) -> slice:
+        """Give the next `num` grippers of the solver to an agent.
+
+        Raises:
+            ValueError: If fewer are left.
+        """
+        first, self._num_claimed_grippers = self._num_claimed_grippers, self._num_claimed_grippers + num
+        if self._num_claimed_grippers > self.solver.num_grippers:
+            raise ValueError(
+                f"the scene has {self.solver.num_grippers} grippers, its agents drive more: {self._num_claimed_grippers}"
+            )
+        return slice(first, self._num_claimed_grippers)
+
     def can_render(self) -> bool:
         """Tell whether SAPIEN draws. ManiSkill says so of every scene on macOS."""
         return self.backend.render_device is not None
 
     def step(self) -> None:
-        """Advance all worlds by one control step."""
+        """Open and close grippers as commanded, then advance all worlds by one control step."""
+        if self._has_free_grasps:
+            self.solver.set_closed(self.grip_commands)
         self.solver.step()
 
     def create_actor_builder(self) -> ActorBuilder:

@@ -9,19 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sapien
 import torch
+from mani_skill.agents.multi_agent import MultiAgent
 from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
 from mani_skill.utils import common
 from mani_skill.utils.structs.types import SimConfig
 
 from maniskill_grpd.graphs import Channel, GraphSchema
-from maniskill_grpd.physics import Model, Solver
+from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.batched_scene import BatchedScene
 from maniskill_grpd.tasks.compute_device import choose_compute_device
 from maniskill_grpd.tasks.drawing import choose_painter
+from maniskill_grpd.tasks.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.graph_observation import GraphObservation
+from maniskill_grpd.tasks.grasp_mode import choose_grasp
+from maniskill_grpd.tasks.gripper_teams import Team, choose_team
+from maniskill_grpd.tasks.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.render_device import choose_render_device
+from maniskill_grpd.tasks.rigid_motion import move_solver
 from maniskill_grpd.tasks.seeds import expand_seeds
 from maniskill_grpd.tasks.state_layout import StateDict, read_flat, read_rows
 from maniskill_grpd.tasks.world_pictures import WorldPictures
@@ -33,6 +39,8 @@ POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
 CONTROL_FREQ = 20
 """Control steps per second [Hz]; each is one step of the solver, which has its own substeps."""
+OUT_OF_REACH = 100.0
+"""How far below the origin the table of a task without one is [m]."""
 
 
 class DeformableEnv(WorldPictures):
@@ -42,17 +50,16 @@ class DeformableEnv(WorldPictures):
     takes pictures of it. `num_envs` is free on both devices.
 
     One `step(action)` goes through:
-        1. `agent.set_action`          checks the action and moves the gripper targets
+        1. `agent.set_action`          checks the action, moves the gripper targets, commands the grip
         2. `scene.step` -> `solver.step`  moves the worlds, grippers reach their targets
         3. `evaluate`                  measures the worlds: success, fail, distances
         4. `get_obs` -> `_get_obs_graph` / `_get_obs_extra`
         5. `compute_dense_reward`
 
-    A task implements `_build_model`, `_choose_gripper_nodes`, `_start_episode`, `evaluate`,
-    `compute_dense_reward` and `_drawing`, names its channels in `OBJECT_CHANNELS` and
-    `GRIPPER_CHANNELS`, and fills those that are its own in `_object_values` and `_gripper_values`.
-    Tensors that belong to an episode, such as goals, come from `_episode_tensor`: they become part
-    of the state.
+    A task names its channels in `OBJECT_CHANNELS` and `GRIPPER_CHANNELS`, implements what stands
+    under "what a task implements" below, `evaluate`, `compute_dense_reward` and `_drawing`. Tensors
+    that belong to an episode, such as goals, come from `_episode_tensor`: they become part of the
+    state and move with their world.
 
     Args:
         num_envs: Number of worlds B.
@@ -61,6 +68,15 @@ class DeformableEnv(WorldPictures):
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
         render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
             `render_mode="rgb_array"` draws simple pictures with matplotlib.
+        num_grippers: Number of grippers A, one of `GRIPPER_COUNTS`.
+        robot_uids: "floating_grippers_<A>", which drives all of them (default), or a tuple of
+            agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions
+            are then a dictionary with one entry per agent.
+        grasp: "fixed" (default): grippers hold the object for the whole episode; "free": they hold
+            it at the start, and the action opens and closes them.
+        control_mode: "pd_ee_delta_pos" for fixed grasps, "pd_ee_delta_pos_grip" for free ones.
+        material: Factors on the material of the object, drawn anew for each episode, by property
+            ("stretch", "bend", "mass", "friction", "damping"): (smallest, largest), or a number.
         pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
         graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default.
             The simulation keeps all nodes.
@@ -74,6 +90,13 @@ class DeformableEnv(WorldPictures):
     SUPPORTED_OBS_MODES = (
         "graph", "state", "state_dict", "none", "sensor_data", "any_textures", "pointcloud",
     )  # fmt: skip
+    GRIPPER_COUNTS: tuple[int, ...]
+    """Allowed numbers of grippers."""
+    DEFAULT_NUM_GRIPPERS: int
+    HAS_TABLE = True
+    """Whether there is a table, at z = 0."""
+    SELF_COLLISION = False
+    """Whether the object collides with itself."""
     OBJECT_CHANNELS: tuple[Channel, ...] = (
         channels.VELOCITY,
         channels.ARC,
@@ -82,12 +105,14 @@ class DeformableEnv(WorldPictures):
     )
     GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
 
-    agent: FloatingGrippers
+    agent: FloatingGrippers | MultiAgent
     scene: BatchedScene
-    model: Model
-    """The deformable object."""
+    models: tuple[Model, ...]
+    """The variants of the object, among which each episode draws one."""
     solver: Solver
     """State of all worlds."""
+    start_nodes: torch.Tensor
+    """Node that each gripper held at the start of the episode, (B, A) int64."""
     graph_schema: GraphSchema
     """What `obs["graph"]` holds."""
 
@@ -99,6 +124,11 @@ class DeformableEnv(WorldPictures):
         render_mode: str | None = None,
         sim_backend: str = "auto",
         render_backend: str | None = "auto",
+        num_grippers: int | None = None,
+        robot_uids: Team | None = None,
+        grasp: str | None = None,
+        control_mode: str | None = None,
+        material: Mapping[str, float | Sequence[float]] | None = None,
         pose_range: str = "full",
         graph_nodes: int | None = None,
         num_threads: int | None = None,
@@ -108,6 +138,11 @@ class DeformableEnv(WorldPictures):
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
         if num_envs < 1:
             raise ValueError(f"num_envs must be >= 1, got {num_envs}")
+        self.num_grippers, team = choose_team(
+            num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS
+        )
+        self.grasp, control_mode = choose_grasp(grasp, control_mode)
+        self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
         self._pose_share = POSE_RANGES[pose_range]
@@ -120,6 +155,8 @@ class DeformableEnv(WorldPictures):
             num_envs=num_envs,
             obs_mode=base_mode,
             render_mode=render_mode,
+            robot_uids=team,
+            control_mode=control_mode,
             # Both are replaced in `backend`. PhysX stays empty, and on the CPU so as not to take
             # GPU memory.
             sim_backend="physx_cpu",
@@ -132,23 +169,31 @@ class DeformableEnv(WorldPictures):
     # ------------------------------------------------------------------ what a task implements
 
     @abstractmethod
-    def _build_model(self) -> Model:
-        """Build the deformable object."""
+    def _build_models(self) -> Sequence[Model]:
+        """Build the variants of the object; every episode draws one of them."""
+
+    def _build_colliders(self) -> Sequence[Collider]:
+        """Build the obstacles, the same in all worlds but for pose, size and switch; none by default."""
+        return ()
 
     @abstractmethod
-    def _choose_gripper_nodes(self) -> np.ndarray:
-        """Return the node that each gripper holds at the start, (A,) int64."""
-
-    @abstractmethod
-    def _start_episode(self, worlds: torch.Tensor) -> torch.Tensor:
-        """Draw an episode for some worlds (b,): write goals, return start positions (b, N, 3) [m].
-
-        Random numbers come from `_draw_uniform`, so that the episode of a world depends on its own
-        seed alone.
-        """
+    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        """Return the nodes of a variant at which grippers may start; a thinned graph shows them all."""
 
     def _allocate_episode(self) -> None:
         """Create the tensors of an episode with `_episode_tensor`; none by default."""
+
+    @abstractmethod
+    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw an episode for some worlds (b,), whose variants are drawn already: write goals and obstacles.
+
+        Random numbers come from `_draw_uniform`, so that the episode of a world depends on its own
+        seed alone.
+
+        Returns:
+            Positions of the nodes, (b, N, 3) [m], finite also in the padding, and the node that each
+            gripper holds, (b, A) int64.
+        """
 
     def _object_values(self) -> dict[str, torch.Tensor]:
         """Return the task's own channels of the object: vectors (B, N, 3), scalars (B, N)."""
@@ -195,22 +240,25 @@ class DeformableEnv(WorldPictures):
                 f"substeps), got {self._sim_freq} and {self._control_freq}"
             )
         self._set_scene_config()
-        self.model = self._build_model()
-        self._gripper_nodes = torch.as_tensor(self._choose_gripper_nodes(), device=self.device)
+        self.models = tuple(self._build_models())
         self.solver = Solver(
-            self.model,
+            self.models,
             self.num_envs,
-            len(self._gripper_nodes),
+            self.num_grippers,
             control_dt=self.control_timestep,
             device=self.device,
             num_threads=self._num_threads,
+            colliders=self._build_colliders(),
+            self_collision=self.SELF_COLLISION,
         )
+        self.start_nodes = torch.zeros(self.num_envs, self.num_grippers, dtype=torch.int64, device=self.device)
         systems: list[sapien.System] = [sapien.physx.PhysxCpuSystem()]
         if self.backend.render_device is not None:
             systems.append(sapien.render.RenderSystem(self.backend.render_device))
         self.scene = BatchedScene(
             sapien.Scene(systems),
             self.solver,
+            has_free_grasps=self.grasp == "free",
             sim_config=self.sim_config,
             device=self.device,
             backend=self.backend,
@@ -218,15 +266,22 @@ class DeformableEnv(WorldPictures):
         self.scene.px.timestep = self.sim_timestep
 
     def _load_agent(self, options: dict) -> None:
-        super()._load_agent(options, sapien.Pose())
-        self.agent.robot.set_floor(self.solver.plane, self.model.radius)
+        team = self.robot_uids
+        super()._load_agent(options, sapien.Pose() if isinstance(team, str) else [sapien.Pose()] * len(team))
+        for agent in self._agents:
+            agent.robot.set_floor(self.solver.plane, self.solver.model.radius)
+
+    @property
+    def _agents(self) -> list[FloatingGrippers]:
+        """The agents, in the order of their grippers."""
+        return list(self.agent.agents) if isinstance(self.agent, MultiAgent) else [self.agent]
 
     def _load_scene(self, options: dict) -> None:
-        self._episode_tensors: dict[str, torch.Tensor] = {}
+        self._episode = EpisodeTensors(self.num_envs, self.device)
         self._allocate_episode()
         self._graph = GraphObservation(
             self.solver,
-            self._gripper_nodes,
+            self._candidate_gripper_nodes,
             self.OBJECT_CHANNELS,
             self.GRIPPER_CHANNELS,
             self._num_graph_nodes,
@@ -234,10 +289,9 @@ class DeformableEnv(WorldPictures):
         self.graph_schema = self._graph.schema
         self._painter = choose_painter(self)
 
-    def _episode_tensor(self, name: str, *shape: int) -> torch.Tensor:
-        """Return zeros (B, *shape), float32, that are part of the state of an episode."""
-        self._episode_tensors[name] = torch.zeros(self.num_envs, *shape, device=self.device)
-        return self._episode_tensors[name]
+    def _episode_tensor(self, name: str, *shape: int, kind: Kind) -> torch.Tensor:
+        """Return zeros (B, *shape), float32, that are part of the state of an episode and move with its world."""
+        return self._episode.allocate(name, *shape, kind=kind)
 
     # ------------------------------------------------------------------ reset
 
@@ -276,8 +330,26 @@ class DeformableEnv(WorldPictures):
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict) -> None:
         worlds = self._world_indices(env_idx)
-        self.solver.reset(worlds, self._start_episode(worlds), self._gripper_nodes)
-        self.agent.robot.place(worlds)
+        solver = self.solver
+        solver.gravity[worlds] = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=self.device)
+        height = 0.0 if self.HAS_TABLE else -OUT_OF_REACH
+        solver.plane[worlds] = torch.tensor([0.0, 0.0, 1.0, height], device=self.device)
+        solver.reset(worlds, variants=self._draw_choice(worlds, len(self.models)))
+        positions, self.start_nodes[worlds] = self._start_episode(worlds)
+        if self._material.num_draws:
+            draws = self._draw_uniform(worlds, self._material.num_draws)
+            solver.set_material(worlds, **self._material.factors(draws))
+        solver.reset(worlds, positions, self.start_nodes[worlds])
+        self.scene.grip_commands[worlds] = True
+        for agent in self._agents:
+            agent.robot.place(worlds)
+
+    def _draw_choice(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
+        """Draw one of `num` possibilities for some worlds, (b,) int64; without a draw where there is but one."""
+        if num == 1:
+            return torch.zeros_like(worlds)
+        share = (self._draw_uniform(worlds, 1)[:, 0] + 1.0) / 2.0
+        return (share * num).long().clamp_max(num - 1)  # float32 rounds the largest draws up to 1
 
     def _draw_uniform(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
         """Draw numbers in [-1, 1) for some worlds (b,), from each one's generator, (b, num)."""
@@ -287,10 +359,12 @@ class DeformableEnv(WorldPictures):
     # ------------------------------------------------------------------ one control step
 
     def _before_simulation_step(self) -> None:
-        self.agent.robot.start_motion()
+        for agent in self._agents:
+            agent.robot.start_motion()
 
     def _after_simulation_step(self) -> None:
-        self.agent.robot.finish_motion(self.control_timestep)
+        for agent in self._agents:
+            agent.robot.finish_motion(self.control_timestep)
 
     def get_info(self) -> dict[str, torch.Tensor]:
         """Return `elapsed_steps` and what `evaluate` measures, as copies."""
@@ -322,8 +396,8 @@ class DeformableEnv(WorldPictures):
 
     def _get_obs_graph(self) -> dict[str, Any]:
         """Return the graph that `graph_schema` describes."""
-        velocities = self.agent.robot.qvel.unflatten(1, (-1, 3))
-        return self._graph.build(velocities, self._object_values(), self._gripper_values())
+        velocities = torch.cat([agent.robot.qvel for agent in self._agents], dim=1).unflatten(1, (-1, 3))
+        return self._graph.build(self.start_nodes, velocities, self._object_values(), self._gripper_values())
 
     def compute_normalized_dense_reward(
         self,
@@ -340,7 +414,7 @@ class DeformableEnv(WorldPictures):
         """Return everything that the future depends on, as copies; leaves (B, D)."""
         state = super().get_state_dict()
         state["solver"] = self.solver.state()
-        state["episode"] = {name: t.flatten(1).clone() for name, t in self._episode_tensors.items()}
+        state["episode"] = {"start_nodes": self.start_nodes.float(), **self._episode.state()}
         return state
 
     def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:
@@ -369,11 +443,29 @@ class DeformableEnv(WorldPictures):
 
     def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
         self.solver.set_state(state["solver"], worlds)
-        robot = self.agent.robot
-        robot.set_state(state["articulations"][robot.name], worlds)
-        self.agent.controller.set_state(state["controller"], worlds)
-        for name, tensor in self._episode_tensors.items():
-            tensor[worlds] = state["episode"][name].view(-1, *tensor.shape[1:])
+        self.scene.grip_commands[worlds] = self.solver.closed[worlds]
+        for agent in self._agents:
+            agent.robot.set_state(state["articulations"][agent.robot.name], worlds)
+        self.start_nodes[worlds] = state["episode"]["start_nodes"].long()
+        self._episode.set_state(state["episode"], worlds)
+
+    def move_worlds(self, rotation: torch.Tensor, translation: torch.Tensor) -> None:
+        """Move all worlds rigidly until their next reset, x -> R x + t: the same episodes, seen from elsewhere.
+
+        Object, grippers, table, obstacles, gravity and what belongs to the episode move together.
+        Actions that are rotated likewise then bring the rotated trajectory, and equal rewards.
+
+        Args:
+            rotation: Rotation matrices, (3, 3) or (B, 3, 3).
+            translation: (3,) or (B, 3) [m].
+        """
+        rotation = rotation.to(self.solver.positions).expand(self.num_envs, 3, 3)
+        translation = translation.to(rotation).expand(self.num_envs, 3)
+        move_solver(self.solver, rotation, translation)
+        self._episode.move(rotation, translation)
+        for agent in self._agents:
+            velocities = agent.robot.qvel.unflatten(1, (-1, 3))
+            agent.robot.qvel.copy_((velocities @ rotation.mT).flatten(1))
 
 
 def _check_choice(name: str, value: str | None, allowed: tuple[str | None, ...]) -> None:

@@ -45,7 +45,7 @@ def choose_painter(env: DeformableEnv) -> Painter | None:
         from maniskill_grpd.tasks.sapien_painter import SapienPainter
 
         return SapienPainter(
-            env.scene, env.model.num_nodes, len(env._gripper_nodes), env.model.radius
+            env.scene, env.solver.num_nodes, env.num_grippers, env.solver.model.radius
         )
     if env.render_mode == "rgb_array":
         from maniskill_grpd.tasks.matplotlib_painter import MatplotlibPainter

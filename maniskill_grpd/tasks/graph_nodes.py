@@ -33,19 +33,31 @@ def choose_graph_nodes(model: Model, num: int | None, keep: np.ndarray) -> np.nd
     return np.sort(_sample_farthest(model.rest_positions.astype(np.float64), num, kept))
 
 
-def neighbors_along(model: Model, nodes: np.ndarray) -> np.ndarray:
+def neighbors_among(model: Model, nodes: np.ndarray) -> np.ndarray:
     """Return the neighbours of chosen nodes, as indices into `nodes` (n,), (n, K) int64, -1 padded.
 
-    All nodes of the object keep the mesh's neighbours. Fewer nodes are joined in the order of their
-    position along the object, which is how a rope is connected.
+    All nodes of the object keep the mesh's neighbours. Of fewer nodes each stands for those of the
+    object that are closest to it through the material; two are neighbours where an edge of the mesh
+    joins what they stand for.
     """
     if len(nodes) == model.num_nodes:
         return model.neighbors
-    order = np.argsort(model.arc[nodes], kind="stable")
-    neighbors = np.full((len(nodes), 2), -1, dtype=np.int64)
-    neighbors[order[1:], 0] = order[:-1]
-    neighbors[order[:-1], 1] = order[1:]
-    return neighbors
+    owner = model.geodesic_distances(nodes).argmin(axis=1)
+    edges = model.edges if model.mesh_edges is None else model.mesh_edges
+    pairs = np.unique(np.sort(owner[edges], axis=1), axis=0)
+    lists: list[list[int]] = [[] for _ in nodes]
+    for i, j in pairs[pairs[:, 0] != pairs[:, 1]].tolist():
+        lists[i].append(j)
+        lists[j].append(i)
+    width = max(1, *(len(entry) for entry in lists))
+    return np.array([sorted(entry) + [-1] * (width - len(entry)) for entry in lists], dtype=np.int64)
+
+
+def spacing_among(model: Model, nodes: np.ndarray, neighbors: np.ndarray) -> float:
+    """Return the mean distance in the rest shape between chosen nodes (n,) and their neighbours (n, K) [m]."""
+    points = model.rest_positions[nodes].astype(np.float64)
+    first, column = np.nonzero(neighbors >= 0)
+    return float(np.linalg.norm(points[first] - points[neighbors[first, column]], axis=1).mean())
 
 
 def _sample_farthest(points: np.ndarray, num: int, start: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
 from maniskill_grpd.physics import Model, Solver
-from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_along
+from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_among, spacing_among
 
 CONTACT_DISTANCE = 1.5
 """Nodes count as touching the table when their centre is closer to it than this many radii."""
@@ -18,7 +19,8 @@ CONTACT_DISTANCE = 1.5
 class GraphObservation:
     """Builds `obs["graph"]` of all worlds.
 
-    It fills the channels that all tasks have in common; a task adds the values of its own.
+    It fills the channels that all tasks have in common; a task adds the values of its own. Graphs of
+    different variants are padded to the largest, with a mask.
 
     Attributes:
         schema: What the graph holds.
@@ -27,7 +29,7 @@ class GraphObservation:
     def __init__(
         self,
         solver: Solver,
-        gripper_nodes: torch.Tensor,
+        keep: Callable[[Model], np.ndarray],
         object_channels: tuple[Channel, ...],
         gripper_channels: tuple[Channel, ...],
         num_nodes: int | None,
@@ -36,7 +38,7 @@ class GraphObservation:
 
         Args:
             solver: The worlds; read at every `build`.
-            gripper_nodes: Node that each gripper holds, (A,) int64.
+            keep: Returns the nodes of a model that a thinned graph always shows.
             object_channels: Channels of the object's nodes.
             gripper_channels: Channels of the grippers.
             num_nodes: Number of object nodes in the graph; all for None.
@@ -45,23 +47,21 @@ class GraphObservation:
             ValueError: If `num_nodes` is out of its range.
         """
         self._solver = solver
-        self._radius = solver.model.radius
-        nodes = choose_graph_nodes(solver.model, num_nodes, gripper_nodes.cpu().numpy())
-        self._prepare_constants(solver.model, nodes, gripper_nodes)
-        spacing = (
-            float(solver.model.rest_lengths.mean())
-            * (solver.model.num_nodes - 1)
-            / (len(nodes) - 1)
-        )
+        models = solver.models
+        nodes = [choose_graph_nodes(model, num_nodes, keep(model)) for model in models]
+        neighbors = [neighbors_among(model, chosen) for model, chosen in zip(models, nodes, strict=True)]
+        self._tabulate(nodes, neighbors)
+        spacings = [spacing_among(*entry) for entry in zip(models, nodes, neighbors, strict=True)]
         self.schema = GraphSchema(
             object=_node_schema(object_channels),
             actuator=_node_schema(gripper_channels),
-            length_scale=solver.model.length,
-            edge_length=spacing,
+            length_scale=max(model.length for model in models),
+            edge_length=float(np.mean(spacings)),
         )
 
     def build(
         self,
+        start_nodes: torch.Tensor,
         gripper_velocities: torch.Tensor,
         object_values: dict[str, torch.Tensor],
         gripper_values: dict[str, torch.Tensor],
@@ -69,48 +69,56 @@ class GraphObservation:
         """Return the graph of the current state, as copies.
 
         Args:
+            start_nodes: Node at which each gripper started, (B, A) int64.
             gripper_velocities: (B, A, 3) [m/s].
             object_values: The task's own channels by name: vectors (B, N, 3), scalars (B, N).
             gripper_values: The same for the grippers, (B, A, 3) and (B, A).
         """
-        solver = self._solver
-        object_values = self._common_object_values() | object_values
-        nodes = _stack_channels(solver.positions, object_values, self.schema.object)
-        if self._nodes is not None:
-            nodes = {key: value[:, self._nodes] for key, value in nodes.items()}
-        nodes["neighbors"] = self._neighbors.clone()
+        solver, variants = self._solver, self._solver.variants.long()
+        along = self._along[variants]
+        nodes = _stack_channels(solver.positions, self._common_values(variants) | object_values, self.schema.object)
+        if self._is_thinned:
+            rows = torch.arange(solver.num_worlds, device=solver.device)[:, None]
+            nodes = {key: value[rows, self._nodes[variants]] for key, value in nodes.items()}
+        nodes |= {"mask": self._mask[variants], "neighbors": self._neighbors[variants]}
         common = {
             "velocity": gripper_velocities,
-            "arc": self._gripper_arc,
-            "gripper_status": self._closed,
+            "arc": along.gather(1, start_nodes),
+            "corner": along.gather(1, start_nodes),
+            "gripper_status": solver.closed.float(),
         }
-        grippers = _stack_channels(
-            solver.gripper_positions, common | gripper_values, self.schema.actuator
-        )
+        grippers = _stack_channels(solver.gripper_positions, common | gripper_values, self.schema.actuator)
+        grippers["mask"] = torch.ones_like(solver.closed)
         return {"object": nodes, "actuator": grippers, "gravity": solver.gravity.clone()}
 
-    def _prepare_constants(
-        self, model: Model, nodes: np.ndarray, gripper_nodes: torch.Tensor
-    ) -> None:
-        device, num_worlds = self._solver.device, self._solver.num_worlds
-        self._nodes = (
-            None if len(nodes) == model.num_nodes else torch.as_tensor(nodes, device=device)
+    def _tabulate(self, nodes: list[np.ndarray], neighbors: list[np.ndarray]) -> None:
+        """Set up tables of all M variants, padded to n nodes of K neighbours."""
+        solver, count = self._solver, len(nodes)
+        self._is_thinned = any(len(entry) < m.num_nodes for entry, m in zip(nodes, solver.models, strict=True))
+        size = max(len(entry) for entry in nodes)
+        width = max(entry.shape[1] for entry in neighbors)
+        chosen, mask = np.zeros((count, size), np.int64), np.zeros((count, size), bool)
+        padded = np.full((count, size, width), -1, np.int64)
+        along = np.zeros((count, solver.num_nodes), np.float32)
+        for index, model in enumerate(solver.models):
+            num = len(nodes[index])
+            chosen[index, :num], mask[index, :num] = nodes[index], True
+            padded[index, :num, : neighbors[index].shape[1]] = neighbors[index]
+            along[index, : model.num_nodes] = np.abs(2.0 * model.arc - 1.0) if len(model.faces) == 0 else 1.0 - model.arc
+        self._nodes, self._mask, self._neighbors, self._along = (
+            torch.as_tensor(table, device=solver.device) for table in (chosen, mask, padded, along)
         )
-        neighbors = torch.as_tensor(neighbors_along(model, nodes), device=device)
-        self._neighbors = neighbors.expand(num_worlds, -1, -1)
-        arc = torch.as_tensor(np.abs(2.0 * model.arc - 1.0), dtype=torch.float32, device=device)
-        self._arc = arc.expand(num_worlds, -1)
-        self._gripper_arc = arc[gripper_nodes].expand(num_worlds, -1)
-        self._closed = torch.ones_like(self._gripper_arc)
 
-    def _common_object_values(self) -> dict[str, torch.Tensor]:
+    def _common_values(self, variants: torch.Tensor) -> dict[str, torch.Tensor]:
         solver = self._solver
         height = (solver.positions * solver.plane[:, None, :3]).sum(-1) - solver.plane[:, 3:]
+        along = self._along[variants]
         return {
             "velocity": solver.velocities,
-            "arc": self._arc,
+            "arc": along,
+            "corner": along,
             "held": (solver.holder >= 0).float(),
-            "contact": (height < CONTACT_DISTANCE * self._radius).float(),
+            "contact": (height < CONTACT_DISTANCE * solver.model.radius).float(),
         }
 
 
@@ -130,5 +138,4 @@ def _stack_channels(
         "position": positions.clone(),
         "vectors": torch.stack([values[channel.name] for channel in schema.vectors], dim=2),
         "scalars": torch.stack([values[channel.name] for channel in schema.scalars], dim=2),
-        "mask": positions.new_ones(positions.shape[:2], dtype=torch.bool),
     }

@@ -14,6 +14,9 @@ from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.drawing import Drawing
 from maniskill_grpd.tasks.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.node_statistics import max_over_nodes, mean_over_nodes
+from maniskill_grpd.tasks.resolutions import check_resolutions
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""
@@ -51,7 +54,9 @@ class RopeShapingEnv(DeformableEnv):
       O or spiral) on the table
     """  # noqa: D200, D205, D212, D400, D415  (the form of ManiSkill's task cards)
 
-    SUPPORTED_ROBOTS = ("floating_grippers_2", "floating_grippers_3", "floating_grippers_4")
+    GRIPPER_COUNTS = tuple(GRIPPER_ARCS)
+    DEFAULT_NUM_GRIPPERS = 4
+    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     OBJECT_CHANNELS = (
         channels.VELOCITY,
         channels.GOAL_OFFSET,
@@ -94,9 +99,7 @@ class RopeShapingEnv(DeformableEnv):
     def __init__(
         self,
         *,
-        num_grippers: int | None = None,
-        robot_uids: str | None = None,
-        resolution: int = 41,
+        resolution: int | Sequence[int] = 41,
         goal_shape: str = "W",
         shapes: Sequence[str] | None = None,
         **settings: Any,
@@ -104,48 +107,50 @@ class RopeShapingEnv(DeformableEnv):
         """Set up the task.
 
         Args:
-            num_grippers: 2, 3 or 4 (default).
-            robot_uids: "floating_grippers_<num_grippers>", by default.
-            resolution: Number of nodes of the rope, 20 to 200.
+            resolution: Number of nodes of the rope, 20 to 200; of several, each episode draws one.
             goal_shape: Name of the goal shape.
             shapes: Several names, from which each episode draws one; instead of `goal_shape`.
-            settings: Options of `DeformableEnv`.
+            settings: Options of `DeformableEnv`; `num_grippers` is 2, 3 or 4 (default).
 
         Raises:
             ValueError: If an option has a value that is not allowed; says which are.
         """
-        self.num_grippers = _choose_num_grippers(num_grippers, robot_uids)
-        low, high = RESOLUTIONS
-        if not low <= resolution <= high:
-            raise ValueError(f"resolution must be in [{low}, {high}] nodes, got {resolution}")
-        self.resolution = resolution
+        self.resolutions = check_resolutions(resolution, *RESOLUTIONS)
         self.shapes = _check_shapes([goal_shape] if shapes is None else shapes)
-        super().__init__(robot_uids=f"floating_grippers_{self.num_grippers}", **settings)
+        super().__init__(**settings)
 
     # ------------------------------------------------------------------ episode
 
-    def _build_model(self) -> Model:
+    def _build_models(self) -> list[Model]:
         half = ROPE_LENGTH / 2
-        return rope([[-half, 0.0], [half, 0.0]], num_nodes=self.resolution)
+        return [rope([[-half, 0.0], [half, 0.0]], num_nodes=num) for num in self.resolutions]
 
-    def _choose_gripper_nodes(self) -> np.ndarray:
+    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
         fractions = np.array(GRIPPER_ARCS[self.num_grippers])
-        return np.rint(fractions * (self.model.num_nodes - 1)).astype(np.int64)
+        return np.rint(fractions * (model.num_nodes - 1)).astype(np.int64)
 
     def _allocate_episode(self) -> None:
-        num_nodes, length = self.model.num_nodes, self.model.length
-        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3)
-        curves = np.stack([goal_curve(name, length, num_nodes) for name in self.shapes])
-        self._goal_curves = torch.as_tensor(curves, dtype=torch.float32, device=self.device)
-        self._straight = torch.tensor(self.model.rest_positions[:, :2], device=self.device)
+        num_nodes = self.solver.num_nodes
+        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3, kind="position")
+        straight = np.zeros((len(self.models), num_nodes, 2), np.float32)
+        curves = np.zeros((len(self.models), len(self.shapes), num_nodes, 2), np.float32)
+        for index, model in enumerate(self.models):
+            straight[index, : model.num_nodes] = model.rest_positions[:, :2]
+            for shape, name in enumerate(self.shapes):
+                curves[index, shape, : model.num_nodes] = goal_curve(name, model.length, model.num_nodes)
+        held = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
+        self._straight, self._goal_curves, self._held_nodes = (
+            torch.as_tensor(table, device=self.device) for table in (straight, curves, held)
+        )
 
-    def _start_episode(self, worlds: torch.Tensor) -> torch.Tensor:
+    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        variant = self.solver.variants[worlds].long()
         draws = self._draw_uniform(worlds, 7)
         shape = ((draws[:, 6] + 1.0) / 2.0 * len(self.shapes)).long()
         # float32 rounds the largest draws up to 1
-        curves = self._goal_curves[shape.clamp_max(len(self.shapes) - 1)]
+        curves = self._goal_curves[variant, shape.clamp_max(len(self.shapes) - 1)]
         self.goal_positions[worlds] = self._lay_down(curves, draws[:, 3:6])
-        return self._lay_down(self._straight.expand(len(worlds), -1, -1), draws[:, 0:3])
+        return self._lay_down(self._straight[variant], draws[:, 0:3]), self._held_nodes[variant]
 
     def _lay_down(self, curves: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Lay planar curves (b, N, 2) on the table, at poses given by draws in [-1, 1) (b, 3)."""
@@ -154,7 +159,7 @@ class RopeShapingEnv(DeformableEnv):
         x, y = curves.unbind(-1)
         cos, sin = yaw.cos(), yaw.sin()
         turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1) + centre
-        return torch.nn.functional.pad(turned, (0, 1), value=self.model.radius)
+        return torch.nn.functional.pad(turned, (0, 1), value=self.solver.model.radius)
 
     # ------------------------------------------------------------------ one control step
 
@@ -162,7 +167,8 @@ class RopeShapingEnv(DeformableEnv):
         """Measure how far the nodes are from their goals; observation and reward reuse it."""
         self._goal_offsets = self.goal_positions - self.solver.positions
         self._goal_distances = torch.linalg.vector_norm(self._goal_offsets, dim=-1)
-        mean, largest = self._goal_distances.mean(dim=1), self._goal_distances.amax(dim=1)
+        mean = mean_over_nodes(self._goal_distances, self.solver.node_mask)
+        largest = max_over_nodes(self._goal_distances, self.solver.node_mask)
         fail = self.solver.frozen.clone()
         is_close = (mean <= self.MEAN_DISTANCE_LIMIT) & (largest <= self.MAX_DISTANCE_LIMIT)
         return {
@@ -190,10 +196,10 @@ class RopeShapingEnv(DeformableEnv):
         return {"goal_offset": self._goal_offsets, "goal_distance": self._goal_distances}
 
     def _gripper_values(self) -> dict[str, torch.Tensor]:
-        held = self._gripper_nodes
+        held = self.start_nodes
         return {
-            "goal_offset": self._goal_offsets[:, held],
-            "goal_distance": self._goal_distances[:, held],
+            "goal_offset": self._goal_offsets.gather(1, held[..., None].expand(-1, -1, 3)),
+            "goal_distance": self._goal_distances.gather(1, held),
         }
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
@@ -208,23 +214,9 @@ class RopeShapingEnv(DeformableEnv):
             rope=self.solver.positions[world].cpu().numpy(),
             goal=self.goal_positions[world].cpu().numpy(),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
-            radius=self.model.radius,
+            radius=self.solver.model.radius,
             is_solved=bool(self.evaluate()["success"][world]),
         )
-
-
-def _choose_num_grippers(num_grippers: int | None, robot_uids: str | None) -> int:
-    """Bring the two ways to say how many grippers there are together; 4 when neither is used."""
-    uids = {f"floating_grippers_{num}": num for num in GRIPPER_ARCS}
-    if robot_uids is not None and robot_uids not in uids:
-        raise ValueError(f"robot_uids must be one of {list(uids)}, got {robot_uids!r}")
-    named = uids.get(robot_uids)
-    num = num_grippers if num_grippers is not None else named or max(GRIPPER_ARCS)
-    if num not in GRIPPER_ARCS:
-        raise ValueError(f"num_grippers must be one of {list(GRIPPER_ARCS)}, got {num_grippers}")
-    if named not in (None, num):
-        raise ValueError(f"num_grippers={num_grippers} contradicts robot_uids={robot_uids!r}")
-    return num
 
 
 def _check_shapes(shapes: Sequence[str]) -> tuple[str, ...]:

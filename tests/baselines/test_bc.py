@@ -227,7 +227,7 @@ def test_turned_scenes_are_the_same_scenes_turned():
     assert (rotation[:, 0, 0] <= 1e-6).all()  # the cosine of the angle
     torch.testing.assert_close(base.solver.positions @ rotation, rope)
     torch.testing.assert_close(base.goal_positions @ rotation, goal)
-    held = base.solver.positions[:, base._gripper_nodes]
+    held = base.solver.positions[:, base.start_nodes[0]]
     torch.testing.assert_close(base.solver.gripper_positions, held)
     torch.testing.assert_close(base.solver.gripper_targets, held)
     torch.testing.assert_close(obs["graph"]["actuator"]["position"], held)

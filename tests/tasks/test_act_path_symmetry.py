@@ -4,7 +4,6 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_motion import move_everything
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.policies import make_policy
@@ -48,7 +47,7 @@ def largest_relative_error(base, policy, seed: int, **limit) -> tuple[float, tor
     rotation = torch.as_tensor(Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32)
     # A shift by the size of the scene: positions further away round more coarsely than the motion is small.
     translation = 0.2 * torch.randn(3, generator=torch.Generator().manual_seed(seed))
-    move_everything(base, rotation, translation)
+    base.move_worlds(rotation, translation)
     motion = gripper_motion(base, policy, **limit)
     base.set_state_dict(state)
     error = (motion - expected @ rotation.T).norm(dim=-1).max() / expected.norm(dim=-1).max()

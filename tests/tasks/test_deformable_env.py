@@ -90,7 +90,7 @@ def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
     assert torch.equal(nodes["scalars"][..., 0], offsets.norm(dim=-1))
     torch.testing.assert_close(nodes["scalars"][0, :, 1], torch.linspace(-1, 1, 41).abs())
     assert nodes["scalars"][0, :, 2].nonzero()[:, 0].tolist() == [0, 10, 30, 40]
-    is_low = solver.positions[..., 2] < 1.5 * base.model.radius
+    is_low = solver.positions[..., 2] < 1.5 * base.solver.model.radius
     assert torch.equal(nodes["scalars"][..., 3], is_low.float())
     assert 0 < is_low.float().mean() < 1
     assert nodes["neighbors"][1, :3].tolist() == [[1, -1], [0, 2], [1, 3]]
@@ -343,7 +343,7 @@ def test_sparse_rewards_follow_success_and_failure(make_env):
     solver = env.unwrapped.solver
     solver.gravity[:] = 0  # so that worlds stay as they are put
     solver.positions[0] = env.unwrapped.goal_positions[0]
-    held = env.unwrapped._gripper_nodes
+    held = env.unwrapped.start_nodes[0]
     solver.gripper_positions[0] = solver.gripper_targets[0] = solver.positions[0, held]
     solver.velocities[1, 5] = 1e30
     _, reward, terminated, _, info = env.step(torch.zeros(3, 12))

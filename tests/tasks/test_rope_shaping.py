@@ -8,7 +8,6 @@ import torch
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
-from scene_motion import move_everything
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.tasks import RopeShapingEnv, goal_curve
@@ -47,9 +46,9 @@ def test_start_is_a_straight_rope_on_the_table_and_the_goal_lies_on_it(make_env)
     env.reset(seed=1)
     base = env.unwrapped
     start, goal = base.solver.positions, base.goal_positions
-    torch.testing.assert_close(start[..., 2], torch.full((8, 50), base.model.radius))
-    torch.testing.assert_close(goal[..., 2], torch.full((8, 50), base.model.radius))
-    assert base.model.length == pytest.approx(0.8)
+    torch.testing.assert_close(start[..., 2], torch.full((8, 50), base.solver.model.radius))
+    torch.testing.assert_close(goal[..., 2], torch.full((8, 50), base.solver.model.radius))
+    assert base.solver.model.length == pytest.approx(0.8)
     torch.testing.assert_close((start[:, -1] - start[:, 0]).norm(dim=-1), torch.full((8,), 0.8))
     for curve in (start, goal):
         segments = curve.diff(dim=1).norm(dim=-1)
@@ -173,7 +172,7 @@ def test_rewards_success_and_graph_do_not_depend_on_the_frame(near_goal_env):
             Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32
         )
         translation = torch.randn(3, generator=torch.Generator().manual_seed(seed))
-        move_everything(base, rotation, translation)
+        base.move_worlds(rotation, translation)
         moved, moved_info = base.get_obs()["graph"], base.get_info()
         torch.testing.assert_close(
             base.get_reward(None, None, moved_info), reward, atol=1e-5, rtol=0
@@ -212,7 +211,7 @@ def test_a_step_commutes_with_moving_everything(near_goal_env, draw_actions):
     expected = base.solver.positions @ rotation.T + translation
     grippers = base.solver.gripper_positions @ rotation.T + translation
     base.set_state_dict(state)
-    move_everything(base, rotation, translation)
+    base.move_worlds(rotation, translation)
     env.step((action.unflatten(1, (-1, 3)) @ rotation.T).flatten(1))
     torch.testing.assert_close(base.solver.gripper_positions, grippers, atol=1e-5, rtol=0)
     # A compressed rope buckles: rounding errors grow within the step, but stay below its radius.
@@ -222,7 +221,7 @@ def test_a_step_commutes_with_moving_everything(near_goal_env, draw_actions):
 def test_grippers_stop_at_the_table(make_env):
     env = make_env(2)
     env.reset(seed=0)
-    radius = env.unwrapped.model.radius
+    radius = env.unwrapped.solver.model.radius
     down = torch.tensor([0.5, 0.0, -1.0]).repeat(2, 4)
     for _ in range(3):
         before = env.unwrapped.solver.gripper_positions.clone()

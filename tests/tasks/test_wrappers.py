@@ -19,7 +19,7 @@ def put_at_goal(base, worlds):
     """Lay the ropes of some worlds onto their goals."""
     base.solver.positions[worlds] = base.goal_positions[worlds]
     base.solver.velocities[worlds] = 0.0
-    at_nodes = base.solver.positions[worlds][:, base._gripper_nodes]
+    at_nodes = base.solver.positions[worlds][:, base.start_nodes[0]]
     base.solver.gripper_positions[worlds] = at_nodes
     base.solver.gripper_targets[worlds] = at_nodes
 
@@ -46,7 +46,7 @@ def test_vector_env_resets_at_the_time_limit_and_reports_metrics(make_env, draw_
     new = obs["graph"]["object"]["position"]
     assert (last - new).norm(dim=-1).amax() > 0.05
     assert torch.equal(new, env.unwrapped.solver.positions)
-    assert (new[..., 2] - env.unwrapped.model.radius).abs().max() < 1e-6
+    assert (new[..., 2] - env.unwrapped.solver.model.radius).abs().max() < 1e-6
     assert env.unwrapped.elapsed_steps.tolist() == [0, 0, 0]
 
 
