@@ -19,13 +19,13 @@ from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.batched_scene import BatchedScene
 from maniskill_grpd.tasks.compute_device import choose_compute_device
-from maniskill_grpd.tasks.drawing import choose_painter
 from maniskill_grpd.tasks.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.graph_observation import GraphObservation
 from maniskill_grpd.tasks.grasp_mode import choose_grasp
 from maniskill_grpd.tasks.gripper_teams import Team, choose_team
 from maniskill_grpd.tasks.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
+from maniskill_grpd.tasks.painters import choose_painter
 from maniskill_grpd.tasks.render_device import choose_render_device
 from maniskill_grpd.tasks.rigid_motion import move_solver
 from maniskill_grpd.tasks.seeds import expand_seeds
@@ -355,6 +355,16 @@ class DeformableEnv(WorldPictures):
         """Draw numbers in [-1, 1) for some worlds (b,), from each one's generator, (b, num)."""
         draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
         return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
+
+    # ------------------------------------------------------------------ pictures
+
+    def _model_of(self, world: int) -> Model:
+        """Return the variant that a world holds."""
+        return self.models[int(self.solver.variants[world])]
+
+    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
+        """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
+        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
 
     # ------------------------------------------------------------------ one control step
 

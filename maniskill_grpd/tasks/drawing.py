@@ -1,56 +1,67 @@
-"""What there is to see in one world, and who paints it."""
+"""What there is to see in one world."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import torch
-from mani_skill.sensors.camera import parse_camera_configs, update_camera_configs_from_dict
 
-if TYPE_CHECKING:
-    from maniskill_grpd.tasks.deformable_env import DeformableEnv
+
+@dataclass(frozen=True)
+class Tube:
+    """A rope."""
+
+    points: np.ndarray
+    """Its axis, (n, 3) [m]."""
+    radius: float
+    """Half its thickness [m]."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A cloth."""
+
+    vertices: np.ndarray
+    """(n, 3) [m]."""
+    faces: np.ndarray
+    """Triangles, counter-clockwise as seen from its front, (F, 3)."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A rigid body, in the frame of the world."""
+
+    vertices: np.ndarray
+    """(n, 3) [m]."""
+    faces: np.ndarray
+    """Triangles, counter-clockwise as seen from outside, (F, 3)."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A mark that is no part of the world, such as an axis or a crease."""
+
+    points: np.ndarray
+    """(p, 3) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
     """Everything visible in one world, in its own frame."""
 
-    rope: np.ndarray
-    """Nodes of the rope, (N, 3) [m]."""
-    goal: np.ndarray
-    """Where its nodes should lie, (N, 3) [m]."""
+    object: Tube | Sheet
+    """The deformable object."""
+    goal: Tube | Sheet | None = None
+    """Where it should lie; drawn as a ghost, and not at all in observations."""
+    solids: tuple[Solid, ...] = ()
+    """Obstacles."""
+    lines: tuple[Line, ...] = ()
+    """Marks; drawn with the goal."""
     grippers: np.ndarray
     """Positions of the grippers, (A, 3) [m]."""
-    radius: float
-    """Radius of the rope [m]."""
+    closed: np.ndarray
+    """Grippers that are closed, (A,) bool."""
     is_solved: bool
-    """Whether the goal is drawn in the colour of success."""
-
-
-class Painter(Protocol):
-    """Shows one world at a time."""
-
-    def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
-        """Set up the scene that is pictured next; observations do not show the goal."""
-
-    def picture(self) -> torch.Tensor:
-        """Return an image of what was shown last, (1, H, W, 3) uint8."""
-
-
-def choose_painter(env: DeformableEnv) -> Painter | None:
-    """Return the painter for an environment: SAPIEN where it can draw, else matplotlib, or None."""
-    if env.scene.can_render():
-        from maniskill_grpd.tasks.sapien_painter import SapienPainter
-
-        return SapienPainter(
-            env.scene, env.solver.num_nodes, env.num_grippers, env.solver.model.radius
-        )
-    if env.render_mode == "rgb_array":
-        from maniskill_grpd.tasks.matplotlib_painter import MatplotlibPainter
-
-        configs = parse_camera_configs(env._default_human_render_camera_configs)
-        update_camera_configs_from_dict(configs, env._custom_human_render_camera_configs or {})
-        return MatplotlibPainter(next(iter(configs.values())))
-    return None
+    """Whether the colour of success is shown."""
+    has_table: bool = True
+    """Whether there is a table, at z = 0."""

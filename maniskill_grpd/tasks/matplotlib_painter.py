@@ -64,14 +64,14 @@ class MatplotlibPainter:
 
     def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
         """Draw a world."""
-        width = 2.0 * drawing.radius * self._camera.scale_at(drawing.rope) * POINTS_PER_PIXEL
-        self._shadow.set(**self._on_table(drawing.rope), linewidth=width)
+        width = 2.0 * drawing.object.radius * self._camera.scale_at(drawing.object.points) * POINTS_PER_PIXEL
+        self._shadow.set(**self._on_table(drawing.object.points), linewidth=width)
         self._goal.set(
-            **self._at(drawing.goal), linewidth=GOAL_THICKNESS * width, visible=not hide_goal
+            **self._at(drawing.goal.points), linewidth=GOAL_THICKNESS * width, visible=not hide_goal
         )
         self._goal.set_color(SOLVED_COLOR if drawing.is_solved else GOAL_COLOR)
         self._stems.set(**self._at(_stems(drawing.grippers)), linewidth=0.4 * width)
-        self._rope.set(**self._at(drawing.rope), linewidth=width)
+        self._rope.set(**self._at(drawing.object.points), linewidth=width)
         self._grippers.set(**self._at(drawing.grippers), markersize=GRIPPER_SIZE * width)
         self._canvas.restore_region(self._background)
         for artist in (self._shadow, self._goal, self._stems, self._rope, self._grippers):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Real
 
 
 def check_resolutions(resolution: int | Sequence[int], low: int, high: int) -> tuple[int, ...]:
@@ -11,7 +12,7 @@ def check_resolutions(resolution: int | Sequence[int], low: int, high: int) -> t
     Raises:
         ValueError: If there is none, or one is not a whole number in [low, high].
     """
-    given = (resolution,) if isinstance(resolution, int) else tuple(resolution)
+    given = (resolution,) if isinstance(resolution, Real) else tuple(resolution)
     for value in given:
         if isinstance(value, bool) or int(value) != value or not low <= value <= high:
             raise ValueError(f"resolution must be in [{low}, {high}] nodes, got {value}")

@@ -12,7 +12,7 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.physics import Model, rope
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing
+from maniskill_grpd.tasks.drawing import Drawing, Tube
 from maniskill_grpd.tasks.goal_shapes import GOAL_SHAPES, goal_curve
 from maniskill_grpd.tasks.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.node_statistics import max_over_nodes, mean_over_nodes
@@ -211,10 +211,10 @@ class RopeShapingEnv(DeformableEnv):
 
     def _drawing(self, world: int) -> Drawing:
         return Drawing(
-            rope=self.solver.positions[world].cpu().numpy(),
-            goal=self.goal_positions[world].cpu().numpy(),
+            object=Tube(self._nodes_of(world, self.solver.positions), self.solver.model.radius),
+            goal=Tube(self._nodes_of(world, self.goal_positions), self.solver.model.radius),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
-            radius=self.solver.model.radius,
+            closed=self.solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
         )
 

@@ -29,19 +29,12 @@ class SapienPainter:
     Rope and goal are chains of capsules, the goal translucent; grippers are balls; table at z = 0.
     """
 
-    def __init__(
-        self, scene: BatchedScene, num_nodes: int, num_grippers: int, radius: float
-    ) -> None:
-        """Build everything; `show` moves it into place.
-
-        Args:
-            scene: Scene that can render.
-            num_nodes: Nodes of the rope, N.
-            num_grippers: Grippers, A.
-            radius: Radius of the rope [m].
-        """
+    def __init__(self, scene: BatchedScene) -> None:
+        """Build everything for a scene that can render; `show` moves it into place."""
         self._scene = scene
-        half_length = float(scene.solver.model.rest_lengths.mean()) / 2.0
+        model, num_grippers = scene.solver.model, scene.solver.num_grippers
+        num_nodes, radius = model.num_nodes, model.radius
+        half_length = float(model.rest_lengths.mean()) / 2.0
         rope, grippers = _material(ROPE_COLOR), _material(GRIPPER_COLOR)
         self._goal_material = _material(GOAL_COLOR)
         self._build_table()
@@ -54,8 +47,8 @@ class SapienPainter:
 
     def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
         """Move everything to where it is in a world; without the goal for what policies see."""
-        _lay_chain(self._rope, drawing.rope)
-        _lay_chain(self._goal, drawing.goal + OUT_OF_SIGHT if hide_goal else drawing.goal)
+        _lay_chain(self._rope, drawing.object.points)
+        _lay_chain(self._goal, drawing.goal.points + OUT_OF_SIGHT * hide_goal)
         for entity, position in zip(self._grippers, drawing.grippers, strict=True):
             entity.pose = sapien.Pose(position)
         self._goal_material.base_color = list(SOLVED_COLOR if drawing.is_solved else GOAL_COLOR)

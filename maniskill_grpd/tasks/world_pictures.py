@@ -13,7 +13,8 @@ from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
 from maniskill_grpd.tasks.batched_scene import BatchedScene
-from maniskill_grpd.tasks.drawing import Drawing, Painter
+from maniskill_grpd.tasks.drawing import Drawing
+from maniskill_grpd.tasks.painters import Painter
 
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""

@@ -15,8 +15,8 @@ import maniskill_grpd.agents  # noqa: F401  (registers)
 STEP = 0.03
 
 
-def make_grippers(num_worlds=3, num_grippers=4):
-    """Return an agent on a stub of the scene: two tensors and a clock."""
+def make_grippers(num_worlds=3, num_grippers=4, control_mode=None):
+    """Return an agent on a stub of the scene: tensors and a clock."""
     solver = SimpleNamespace(
         gripper_positions=torch.zeros(num_worlds, num_grippers, 3),
         gripper_targets=torch.zeros(num_worlds, num_grippers, 3),
@@ -30,8 +30,11 @@ def make_grippers(num_worlds=3, num_grippers=4):
         _gpu_sim_initialized=False,
         _reset_mask=torch.ones(num_worlds, dtype=torch.bool),
         state_dict_registry=SimpleNamespace(articulations={}),
+        grip_commands=torch.ones(num_worlds, num_grippers, dtype=torch.bool),
+        claim_grippers=lambda num: slice(0, num),
     )
-    return REGISTERED_AGENTS[f"floating_grippers_{num_grippers}"].agent_cls(scene, control_freq=20)
+    agent_cls = REGISTERED_AGENTS[f"floating_grippers_{num_grippers}"].agent_cls
+    return agent_cls(scene, control_freq=20, control_mode=control_mode)
 
 
 def displacements(action):
@@ -57,10 +60,21 @@ def test_is_registered_with_a_normalised_action_space(num_grippers):
     assert (space.high == 1).all()
 
 
-def test_rejects_a_scene_with_another_number_of_grippers():
-    agent = make_grippers(1, 2)
-    with pytest.raises(ValueError, match="drives 3 grippers, the scene has 2"):
-        REGISTERED_AGENTS["floating_grippers_3"].agent_cls(agent.scene, control_freq=20)
+def test_grip_mode_adds_a_number_per_gripper_that_closes_it_while_positive():
+    agent = make_grippers(2, 2, control_mode="pd_ee_delta_pos_grip")
+    assert agent.single_action_space.shape == (8,)
+    assert (agent.single_action_space.low == -1).all()
+    assert (agent.single_action_space.high == 1).all()
+    action = torch.tensor([[1.0, 0, 0, -1.0, 0, 2.0, 0, 0.5], [0, 0, 0, 1.0, 0, 0, 0, 0.0]])
+    agent.set_action(action)
+    moved = agent.robot.drive_targets.unflatten(1, (-1, 3))
+    torch.testing.assert_close(moved[0], torch.tensor([[STEP, 0, 0], [0, STEP, 0]]))
+    assert not moved[1].any()
+    assert agent.scene.grip_commands.tolist() == [[False, True], [True, False]]
+    with pytest.raises(ValueError, match="must have shape \\(2, 8\\)"):
+        agent.set_action(action[:, :6])
+    with pytest.raises(ValueError, match="in world 1 for gripper 1"):
+        agent.set_action(torch.tensor([[0.0] * 8, [0.0] * 7 + [float("nan")]]))
 
 
 @given(st.integers(0, 10_000), st.floats(0.01, 100.0))

@@ -146,14 +146,14 @@ def test_direction_is_the_side_to_which_the_spans_bulge():
     """A triangle over its ends: the mean of (0, 0), (1, 1), (2, 0) is a third above the chord."""
     goals = torch.tensor([[[0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [2.0, 0.0, 0.0]]])
     expected = torch.tensor([[0.0, 1.0, 0.0]])
-    torch.testing.assert_close(_trailing_direction(goals, [0, 2]), expected)
+    torch.testing.assert_close(_trailing_direction(goals, torch.tensor([[0, 2]])), expected)
 
 
 def test_direction_turns_with_the_goal():
     goals = torch.randn(5, 21, 3, dtype=torch.float64) * torch.tensor([1.0, 1.0, 0.0])
     turn = torch.tensor([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
-    direction = _trailing_direction(goals, [0, 5, 15, 20])
-    turned = _trailing_direction(goals @ turn.T + 3.0, [0, 5, 15, 20])
+    direction = _trailing_direction(goals, torch.tensor([[0, 5, 15, 20]]))
+    turned = _trailing_direction(goals @ turn.T + 3.0, torch.tensor([[0, 5, 15, 20]]))
     torch.testing.assert_close(turned, direction @ turn.T, rtol=1e-9, atol=1e-9)
 
 
@@ -162,7 +162,7 @@ def test_goals_without_a_side_are_approached_along_their_chord():
     angle = torch.linspace(-torch.pi, torch.pi, 41)
     goals = torch.stack([angle, angle.sin(), 0.0 * angle], dim=-1)[None]
     chord = torch.tensor([[1.0, 0.0, 0.0]])
-    torch.testing.assert_close(_trailing_direction(goals, [0, 20, 40]), chord)
+    torch.testing.assert_close(_trailing_direction(goals, torch.tensor([[0, 20, 40]])), chord)
 
 
 def test_unknown_tasks_and_other_environments_are_refused():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from maniskill_grpd.physics import rope
+from maniskill_grpd.physics import circle_outline, cloth, rope, square_outline
 from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_among
 
 MODEL = rope(np.array([[0.0, 0.0], [1.0, 0.0]]), num_nodes=41)
@@ -31,8 +33,25 @@ def test_chosen_nodes_cover_the_rope_and_contain_the_held_ones(num):
 def test_chosen_nodes_are_joined_to_a_chain(num):
     neighbors = neighbors_among(MODEL, choose_graph_nodes(MODEL, num, HELD))
     assert neighbors.shape == (num, 2)
-    assert neighbors[:, 0].tolist() == [-1, *range(num - 1)]
-    assert neighbors[:, 1].tolist() == [*range(1, num), -1]
+    joined = [sorted(set(row.tolist()) - {-1}) for row in neighbors]
+    assert joined == [[j for j in (i - 1, i + 1) if 0 <= j < num] for i in range(num)]
+
+
+@pytest.mark.parametrize("num", [12, 30, 80])
+def test_chosen_nodes_of_a_cloth_are_joined_to_a_connected_mesh(num):
+    sheet = cloth(square_outline(0.4), holes=[circle_outline(0.06)], num_nodes=100)
+    nodes = choose_graph_nodes(sheet, num, sheet.node_sets["corners"])
+    neighbors = neighbors_among(sheet, nodes)
+    first, column = np.nonzero(neighbors >= 0)
+    second = neighbors[first, column]
+    pairs = set(zip(first.tolist(), second.tolist(), strict=True))
+    assert pairs == {(j, i) for i, j in pairs}
+    assert all(i != j for i, j in pairs)
+    reached = connected_components(coo_matrix((np.ones(len(first)), (first, second)), shape=(num, num)))[0]
+    assert reached == 1
+    # what is joined is close: no edge spans the hole
+    spans = np.linalg.norm(sheet.rest_positions[nodes[first]] - sheet.rest_positions[nodes[second]], axis=1)
+    assert spans.max() < 3.0 * np.sqrt(0.16 / num)
 
 
 @pytest.mark.parametrize("num", [-1, 0, 3, 42])
