@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from maniskill_grpd.experts.cloth_hanging_expert import ClothHangingExpert
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.experts.rope_shaping_expert import RopeShapingExpert
 
-EXPERTS: dict[str, type[Expert]] = {"RopeShaping-v1": RopeShapingExpert}
+EXPERTS: dict[str, type[Expert]] = {
+    "ClothHanging-v1": ClothHangingExpert,
+    "RopeShaping-v1": RopeShapingExpert,
+}
 """Expert classes by the id of their task."""
 
 
@@ -35,4 +39,4 @@ def make_expert(env_id: str, env: Any) -> Expert:
     return expert(env)
 
 
-__all__ = ["EXPERTS", "Expert", "RopeShapingExpert", "make_expert"]
+__all__ = ["EXPERTS", "ClothHangingExpert", "Expert", "RopeShapingExpert", "make_expert"]
