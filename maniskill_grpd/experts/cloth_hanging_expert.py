@@ -18,14 +18,16 @@ from maniskill_grpd.tasks.node_statistics import mean_over_nodes
 
 LARGEST_TURN = 0.1
 """Largest turn in one step [rad]: as far as a corner of the default cloth can go in one."""
-CLEARANCE = 0.45
+PEG_CLEARANCE, BAR_CLEARANCE = 0.45, 0.6
 """Distance from the axis at which the cloth passes the hanger on its way to the front [m]."""
-NARROW, WIDE = 0.25, 0.4
-"""Distances from the axis below which a cloth beside the hanger only moves away from it, and above which it moves freely [m]."""
+NARROW, WIDE = 0.2, 0.05
+"""How much nearer to the axis a cloth only moves away from it, and how much nearer it already moves freely [m]."""
 FRONT = 0.08
 """How far before the hanger the cloth waits until it is centred and turned [m]."""
 BLEND = 0.1
 """Height over which keeping away from the axis changes into coming to it [m]."""
+TURNING_BACK = (-0.08, -0.06)
+"""Heights before the hanger between which a cloth that is not on it goes back [m]; not at once, as the seat lags behind."""
 READY_ASIDE = (0.015, 0.035)
 """Distances from the axis below which the cloth comes onto the hanger, and above which it waits [m]."""
 READY_ANGLE = (0.15, 0.3)
@@ -34,10 +36,12 @@ PEG_DEPTH = 0.16
 """How far below the tip of a peg the plane of the grippers is brought [m]."""
 BAR_DEPTH = 0.14
 """How far below a bar the plane of the grippers is brought [m]."""
+BAR_PLAY = 0.05
+"""How far from the middle of a bar, along it, the middle of the cloth may come down [m]."""
+BAR_ASIDE = 0.1
+"""Distance from there within which a cloth that lies on the bar is brought down [m]; farther away it is lifted again."""
 BAR_WIDTH = 0.5
 """Share of the width of the cloth to which the grippers approach each other below a bar."""
-OVER_BAR_ASIDE = 0.04
-"""Distance from the bar [m] within which the middle of the cloth counts as lying on it."""
 RELEASE_DEPTH = 0.12
 """How far down a peg the hole must be before the grippers open [m]."""
 RELEASE_SPEED = 0.15
@@ -47,25 +51,25 @@ RELEASE_SPEED = 0.15
 class ClothHangingExpert(Expert):
     r"""Carries the frame of the grippers like a rigid body to the front of the hanger and over it.
 
-    The rotation Q of the frame is fitted to the grippers. With m the place of the middle of the seat in that frame (not of the
-    real seat, which bounces), p the tip of the peg and a its axis, h = (m - p) . a is its height before the tip and r its distance
-    from the axis. The frame is turned by the smallest rotation that makes its normal parallel to a or -a, while m goes
+    The rotation of the frame is fitted to the grippers. Let m be the place of the middle of the seat in that frame (not of the real
+    seat, which bounces), p the tip of the peg and a its axis, h = (m - p) . a the height of m before the tip and r its distance from
+    the axis. The frame is turned by the smallest rotation that makes its normal parallel to a or -a, while m goes
 
-        behind the tip (h < 8 cm)          away from the axis to r = 45 cm, then along the peg to h = 8 cm,
-        before it                          to the axis, r = 0 at h = 8 cm,
-        centred (r < 1.5 cm) and turned (within 9 degrees), or threaded    down to h = -16 cm.
+        behind the tip (h < 8 cm)      away from the axis to r = 45 cm, then along the peg to h = 8 cm,
+        before it                      to r = 0 at h = 8 cm,
+        centred (r < 1.5 cm) and turned (within 9 degrees), or threaded      down to h = -16 cm.
 
-    Transitions are blended, there are no phases and no memory. All grippers are slowed down by the same factor, so that the frame
-    stays rigid and no gripper moves more than 3 cm.
+    Transitions are blended; there are no phases and no memory. All grippers are slowed down by the same factor, so that the frame
+    stays rigid and none moves more than 3 cm.
 
-    Over a bar the same is done with a = the upward direction and p = the nearest point of the bar; the frame is turned by the
-    smallest rotation after which it is level and one of its axes is parallel to the bar, and once its middle lies on the bar the
-    grippers go down on both sides of it, to half the width of the cloth. With `release` the grippers open when the cloth hangs and has
+    Over a bar the same is done with a the upward direction and p the middle of the bar, give or take 5 cm along it; the frame is
+    turned by the smallest rotation after which x or y of the flat cloth is parallel to the bar, and once the cloth lies on the bar
+    the grippers go down on both sides of it, to half the width of the cloth. With `release` they open when the cloth hangs and has
     come to rest.
 
-    Limitations: needs at least three grippers that are not on a line.
+    Limitations: holes beside the triangle or quadrilateral of the grippers sag out of the frame (three grippers on a square).
 
-    Symmetry: equivariant under rigid motions of the scene with its gravity; for a peg, which needs no gravity, of the scene alone.
+    Symmetry: equivariant under rigid motions of the scene with its gravity.
     """
 
     task = ClothHangingEnv
@@ -100,7 +104,7 @@ class ClothHangingExpert(Expert):
         normal = rotation[..., 2]
         turn = shortest_turn(normal * _sign((normal * axis).sum(-1)), axis)
         is_threaded = self.env.evaluate()["is_threaded"]
-        shift, _ = _shift_to_hanger(middle - self.env.hanger_point, axis, _length(turn), is_threaded, PEG_DEPTH)
+        shift, _ = _shift_to_hanger(middle - self.env.hanger_point, axis, _length(turn), is_threaded, PEG_DEPTH, PEG_CLEARANCE)
         return turn, shift, torch.eye(3, device=middle.device).expand_as(rotation)
 
     def _move_over_bar(self, rotation: torch.Tensor, middle: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -110,12 +114,11 @@ class ClothHangingExpert(Expert):
         up = torch.nn.functional.normalize(up - (up * bar).sum(-1, keepdim=True) * bar, dim=-1)
         side = torch.linalg.cross(bar, up)
         turn = _turn_to_bar(rotation, bar, up)
-        self.env.evaluate()
-        seat = -self.env._hanging.offset
-        aside = _length(seat - (seat * up).sum(-1, keepdim=True) * up)
-        is_over = ((seat * up).sum(-1) >= 0.0) & (aside < OVER_BAR_ASIDE)
         offset = middle - self.env.hanger_point
-        shift, ready = _shift_to_hanger(offset, up, _length(turn), is_over, BAR_DEPTH)
+        offset = offset - (offset * bar).sum(-1, keepdim=True).clamp(-BAR_PLAY, BAR_PLAY) * bar
+        aside = _length(offset - (offset * up).sum(-1, keepdim=True) * up)
+        lies = self.env.evaluate()["lies_on_bar"] & (aside < BAR_ASIDE)
+        shift, ready = _shift_to_hanger(offset, up, _length(turn), lies, BAR_DEPTH, BAR_CLEARANCE)
         narrow = (1.0 - BAR_WIDTH) * ready[:, None, None] * side[:, :, None] * side[:, None]
         return turn, shift, torch.eye(3, device=middle.device) - narrow
 
@@ -132,7 +135,7 @@ class ClothHangingExpert(Expert):
 
 
 def _shift_to_hanger(
-    offset: torch.Tensor, axis: torch.Tensor, angle: torch.Tensor, is_on: torch.Tensor, depth: float
+    offset: torch.Tensor, axis: torch.Tensor, angle: torch.Tensor, is_on: torch.Tensor, depth: float, clearance: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return how the middle of the frame should move, (B, 3) [m], and how ready it is to come onto the hanger, in [0, 1] (B,).
 
@@ -142,17 +145,19 @@ def _shift_to_hanger(
         angle: Angle left to turn, (B,) [rad].
         is_on: Whether the cloth is on the hanger, (B,) bool.
         depth: How far it is to be brought down [m].
+        clearance: Distance from the axis at which to pass the hanger [m].
     """
     height = (offset * axis).sum(-1)
     outward = offset - height[:, None] * axis
     aside = _length(outward)
     outward = outward / aside.clamp(min=1e-6)[:, None]
-    is_before = (height + 0.01).clamp(0.0, 0.01) / 0.01
+    is_before = 1.0 - _falling(height, *TURNING_BACK)
     ready = torch.where(is_on, 1.0, is_before * _falling(aside, *READY_ASIDE) * _falling(angle, *READY_ANGLE))
     behind = (1.0 - ready) * ((FRONT - height) / BLEND).clamp(0.0, 1.0)
-    free = 1.0 - behind * _falling(aside, NARROW, WIDE)
+    free = 1.0 - behind * _falling(aside, clearance - NARROW, clearance - WIDE)
     target = (1.0 - ready) * FRONT - ready * depth
-    return (behind * CLEARANCE - aside)[:, None] * outward + (free * (target - height))[:, None] * axis, ready
+    shift = (behind * clearance - aside)[:, None] * outward + (free * (target - height))[:, None] * axis
+    return shift * (STEP_SIZE / _length(shift).clamp(min=STEP_SIZE))[:, None], ready
 
 
 def _turn_to_bar(rotation: torch.Tensor, bar: torch.Tensor, up: torch.Tensor) -> torch.Tensor:

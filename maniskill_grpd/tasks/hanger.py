@@ -53,6 +53,9 @@ class Hanger(ABC):
     distances: tuple[float, float]
     radius: float
 
+    def attach(self, solver: Solver) -> None:  # noqa: B027  (a peg needs to know nothing)
+        """Learn what the cloths of a solver are made of, before the first measurement."""
+
     @abstractmethod
     def draw_axes(self, draws: torch.Tensor, share: float) -> torch.Tensor:
         """Return random axes (b, 3) from numbers in [-1, 1) (b, 2), from a share of all directions allowed."""
