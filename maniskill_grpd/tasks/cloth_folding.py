@@ -111,6 +111,9 @@ class ClothFoldingEnv(DeformableEnv):
         channels.GRIPPER_STATUS,
     )
 
+    CAMERA_POSITION = (0.0, -0.42, 0.78)
+    CAMERA_TARGET = (0.0, -0.02, 0.0)
+
     CENTRE_RANGE = 0.15
     """Largest coordinate of the centre of the cloth [m]."""
     YAW_RANGE = np.pi
@@ -292,12 +295,10 @@ class ClothFoldingEnv(DeformableEnv):
     def _drawing(self, world: int) -> Drawing:
         model = self.models[int(self.solver.variants[world])]
         num, normal = model.num_nodes, self.solver.plane[world, :3]
-        moving = self.is_moving[world, :num].cpu().numpy() > 0.0
-        goal_faces = model.faces[moving[model.faces].all(axis=1)]
         crease = self.crease_ends[world] + 2.0 * model.radius * normal
         return Drawing(
             object=Sheet(self.solver.positions[world, :num].cpu().numpy(), model.faces),
-            goal=Sheet(self.goal_positions[world, :num].cpu().numpy(), goal_faces[:, ::-1]),
+            goal=Sheet(self.goal_positions[world, :num].cpu().numpy(), model.faces),
             lines=(Line(crease.cpu().numpy()),),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
             closed=self.solver.closed[world].cpu().numpy(),
