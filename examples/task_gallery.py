@@ -20,7 +20,7 @@ SEEDS = {"RopeShaping-v1": 11, "RopeWrapping-v1": 8, "ClothFolding-v1": 3, "Clot
 FIELDS_OF_VIEW = {"ClothHanging-v1": 0.58, "RopeShaping-v1": 0.8}
 """Vertical field of view [rad] where it is not `FIELD_OF_VIEW`: only these episodes must fit in."""
 FIELD_OF_VIEW = 0.7
-STILL_SHARE = 0.5
+STILL_SHARE = 0.6
 """Share of the way to success at which the still is taken."""
 NUM_LAST_FRAMES = 20
 """Frames after the success."""

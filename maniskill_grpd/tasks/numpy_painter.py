@@ -8,7 +8,7 @@ from mani_skill.sensors.camera import CameraConfig
 from scipy.ndimage import uniform_filter
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.drawing import Drawing, Sheet
+from maniskill_grpd.tasks.drawing import Drawing, Sheet, Tube
 from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
 from maniskill_grpd.tasks.rasterizer import Canvas, scan
 from maniskill_grpd.tasks.surfaces import (
@@ -31,7 +31,7 @@ AMBIENT, DIRECT, FILL, GLOSS = 0.44, 0.46, 0.18, 0.16
 GLOSS_EXPONENT = 24.0
 GHOST_ALPHA = 0.38
 MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
-GHOST_LEAD = 0.006
+GHOST_LEADS = {Tube: 0.02, Sheet: 0.003}
 """Distance by which a ghost must be nearer than something on the table to cover it [m]."""
 EDGE_STEP = 0.0022
 """Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
@@ -84,12 +84,13 @@ class NumpyPainter:
 
     def _draw_goal(self, drawing: Drawing) -> None:
         color = palette.SOLVED if drawing.is_solved else palette.GOAL
-        if drawing.goal is not None:
-            ghost = self._shaded(ghost_surface(drawing.goal), color, color)
+        ghost = ghost_surface(drawing)
+        if ghost is not None:
             # What lies in its goal is not covered: it would take on the colour of the ghost.
             is_table = self._canvas.nearness == self._with_table.nearness
-            limit = self._canvas.nearness / (1.0 - np.where(is_table, 0.0, GHOST_LEAD) * self._canvas.nearness)
-            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, limit=limit)
+            lead = np.where(is_table, 0.0, GHOST_LEADS[type(drawing.goal)])
+            limit = self._canvas.nearness / (1.0 - lead * self._canvas.nearness)
+            self._canvas.glaze(*self._shaded(ghost, color, color), alpha=GHOST_ALPHA, limit=limit)
         marks = self._shaded(mark_surface(drawing), color, color)
         self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
 
