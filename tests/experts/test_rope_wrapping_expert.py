@@ -96,7 +96,7 @@ def test_expert_unwinds_a_rope_that_was_wound_too_far(make_env):
     base, expert = env.unwrapped, make_expert("RopeWrapping-v1", env)
     angle = 2 * math.pi * torch.linspace(0.0, 1.4, 41)
     spiral = torch.stack([0.09 * angle.cos(), 0.09 * angle.sin(), torch.full((41,), 0.01)], dim=-1)
-    floor = base.post_origin[:, None] * torch.tensor([1.0, 1.0, 0.0])
+    floor = base.solver.collider_positions[:, :1] * torch.tensor([1.0, 1.0, 0.0])
     base.solver.reset(torch.arange(4), spiral + floor, torch.tensor([0, 40]))
     assert not base.evaluate()["success"].any()
     success, _ = play(env, expert.act, 40)

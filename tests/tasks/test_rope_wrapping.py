@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 import maniskill_grpd  # noqa: F401  (registers)
 from maniskill_grpd.tasks import RopeWrappingEnv
 from maniskill_grpd.tasks.posts import POST_HEIGHT, POSTS
-from maniskill_grpd.tasks.winding import arms_from_axis
 
 ALL_SHAPES = ("cylinder", "box", "prism")
 VOLUMES = {"cylinder": math.pi * 0.06**2, "box": 0.1**2, "prism": 0.75 * 3**0.5 * 0.08**2}
@@ -37,9 +36,24 @@ def make_env(monkeypatch):
         env.close()
 
 
+def post_base(base):
+    """Return the middle of the base of each post, (B, 1, 3)."""
+    return (base.solver.collider_positions[:, 0] - POST_HEIGHT / 2 * base.post_rotation[:, :, 2])[:, None]
+
+
+def arms(base, points):
+    """Return the vectors from the axis of each post to points (B, n, 3)."""
+    offsets, axis = points - post_base(base), base.post_rotation[:, None, :, 2]
+    return offsets - (offsets * axis).sum(-1, keepdim=True) * axis
+
+
+def winding(base):
+    return base.signed_winding(base.post_rotation)
+
+
 def start_poses(base):
     """Return what an episode draws, recovered from the state: (B, 6), in the order of `bounds`."""
-    rope, post = base.solver.positions[..., :2], base.post_origin[:, :2]
+    rope, post = base.solver.positions[..., :2], post_base(base)[:, 0, :2]
     w, _, _, z = base.solver.collider_rotations[:, 0].unbind(1)
     chord = torch.nn.functional.normalize(rope[:, -1] - rope[:, 0], dim=-1)
     offset = 0.5 * (rope[:, 0] + rope[:, -1]) - post
@@ -143,7 +157,7 @@ def test_success_is_a_rope_that_is_closed_around_the_post_at_its_height(make_env
     env = make_env(len(CONFIGURATIONS), shapes=ALL_SHAPES)
     base = env.unwrapped
     shapes = torch.stack([build() for build, _ in CONFIGURATIONS.values()])
-    base.solver.positions.copy_(shapes + base.post_origin[:, None] - POST_HEIGHT / 2 * base.post_axis[:, None])
+    base.solver.positions.copy_(shapes + post_base(base))
     success = base.evaluate()["success"].tolist()
     assert dict(zip(CONFIGURATIONS, success, strict=True)) == {name: good for name, (_, good) in CONFIGURATIONS.items()}
 
@@ -151,7 +165,7 @@ def test_success_is_a_rope_that_is_closed_around_the_post_at_its_height(make_env
 def test_a_frozen_world_has_failed(make_env):
     env = make_env(2)
     base = env.unwrapped
-    base.solver.positions.copy_(ring() + base.post_origin[:, None] * torch.tensor([1.0, 1.0, 0.0]))
+    base.solver.positions.copy_(ring() + post_base(base))
     base.solver.frozen[0] = True
     info = base.get_info()
     assert info["success"].tolist() == [False, True]
@@ -165,7 +179,7 @@ def test_padding_does_not_count(make_env):
     base.solver.node_mask[:, 20:] = (base.solver.variants == 1)[:, None]
     points = torch.full((16, 41, 3), 7.0)
     points[::2, :20], points[1::2] = ring(num_nodes=20), ring()
-    base.solver.positions.copy_(points + base.post_origin[:, None] * torch.tensor([1.0, 1.0, 0.0]))
+    base.solver.positions.copy_(points + post_base(base))
     info = base.evaluate()
     assert info["success"].all()
     assert (info["share_at_height"] == 1.0).all()
@@ -191,12 +205,11 @@ def test_reward_is_the_formula_of_its_constants(make_env):
 
 def test_reward_rises_while_a_rope_closes_around_the_post_and_not_beside_it(make_env):
     base = make_env(40).unwrapped
-    floor = base.post_origin[:, None] * torch.tensor([1.0, 1.0, 0.0])
     turns = torch.linspace(0.2, 1.0, 40)
     rewards = {}
     for name, centre in {"around": 0.0, "beside": 0.3}.items():
         arcs = [ring(radius=0.127, turns=share.item(), centre=(centre, 0.0)) for share in turns]
-        base.solver.positions.copy_(torch.stack(arcs) + floor)
+        base.solver.positions.copy_(torch.stack(arcs) + post_base(base))
         rewards[name] = base.get_reward(None, None, base.get_info())
     assert (rewards["around"].diff() > 0.0).all()
     assert rewards["around"][-1] > 0.99
@@ -221,11 +234,11 @@ def simple_policies(base, generator):
     """Return policies that do not solve the task, by name: functions of the step to actions."""
 
     def grippers():
-        return arms_from_axis(base.solver.gripper_positions, base.post_origin, base.post_axis)
+        return arms(base, base.solver.gripper_positions)
 
-    num, up = base.num_envs, base.post_axis[:, None].expand(-1, 2, -1)
+    num, up = base.num_envs, base.post_rotation[:, None, :, 2].expand(-1, 2, -1)
     constant = torch.randn(num, 6, generator=generator)
-    forward = normalized(-arms_from_axis(base.solver.positions, base.post_origin, base.post_axis).mean(dim=1)).repeat(1, 2)
+    forward = normalized(-arms(base, base.solver.positions).mean(dim=1)).repeat(1, 2)
     return {
         "stand still": lambda step: torch.zeros(num, 6),
         "random": lambda step: torch.randn(num, 6, generator=generator),
@@ -257,35 +270,34 @@ def test_a_rope_pulled_against_the_post_stays_on_its_side_and_keeps_its_length(m
     env = make_env(24, shapes=shape, obs_mode="none")
     base = env.unwrapped
     push = simple_policies(base, None)["push straight on"]
-    start = base.winding.clone()
+    start = winding(base)
     for step in range(100):
         env.step(push(step))
         edges = base.solver.positions.diff(dim=1).norm(dim=-1)
-        arms = arms_from_axis(base.solver.positions, base.post_origin, base.post_axis).norm(dim=-1)
         assert edges.sum(dim=1).max() < 0.8 * 1.03
-        assert arms.min() > INRADII[shape] + 0.8 * base.solver.model.radius
-        assert (base.winding * start.sign() > start.abs() - 0.05).all()
-    assert (base.winding.abs() > 0.6).all()
+        assert arms(base, base.solver.positions).norm(dim=-1).min() > INRADII[shape] + 0.8 * base.solver.model.radius
+        assert (winding(base) * start.sign() > start.abs() - 0.05).all()
+    assert (winding(base).abs() > 0.6).all()
 
 
 def test_winding_up_stops_when_the_rope_is_used_up(make_env):
     """Ends that circle against each other: about 0.8 m / (2 pi 0.07 m) turns are there."""
     env = make_env(12, obs_mode="none")
     base = env.unwrapped
-    sense = torch.where(base.winding < 0.0, -1.0, 1.0)[:, None, None] * torch.tensor([[[-1.0], [1.0]]])
+    sense = torch.where(winding(base) < 0.0, -1.0, 1.0)[:, None, None] * torch.tensor([[[-1.0], [1.0]]])
     for _ in range(100):
-        arms = arms_from_axis(base.solver.gripper_positions, base.post_origin, base.post_axis)
-        env.step((sense * torch.linalg.cross(base.post_axis[:, None].expand_as(arms), arms) / 0.07).flatten(1))
+        grippers = arms(base, base.solver.gripper_positions)
+        around = torch.linalg.cross(base.post_rotation[:, None, :, 2].expand(-1, 2, -1), grippers)
+        env.step((sense * around / 0.07).flatten(1))
         assert base.solver.positions.diff(dim=1).norm(dim=-1).sum(dim=1).max() < 0.8 * 1.1
-    assert ((base.winding.abs() > 1.0) & (base.winding.abs() < 0.82 / (2 * math.pi * 0.07))).all()
+    assert ((winding(base).abs() > 1.0) & (winding(base).abs() < 0.82 / (2 * math.pi * 0.07))).all()
 
 
 def test_a_rope_above_the_post_is_not_held_back(make_env):
     """Lifted over the post's top, its ends go apart as far as its length allows."""
     env = make_env(2)
     base = env.unwrapped
-    floor = base.post_origin[:, None] * torch.tensor([1.0, 1.0, 0.0])
-    base.solver.reset(torch.arange(2), ring(height=0.4) + floor, torch.tensor([0, 40]))
+    base.solver.reset(torch.arange(2), ring(height=0.4) + post_base(base), torch.tensor([0, 40]))
     apart = torch.tensor([1.0, 0.0, 0.0, -1.0, 0.0, 0.0]).repeat(2, 1)
     env.step(apart)
     assert ((base.solver.gripper_positions[:, 0] - base.solver.gripper_positions[:, 1]).norm(dim=-1) > 0.059).all()
@@ -317,7 +329,7 @@ def half_wrapped_env(make_env):
     push = simple_policies(base, None)["push straight on"]
     for step in range(8):
         env.step(push(step))
-    base.solver.positions[0] = ring() + base.post_origin[0] * torch.tensor([1.0, 1.0, 0.0])
+    base.solver.positions[0] = ring() + post_base(base)[0]
     return env
 
 
@@ -434,6 +446,7 @@ def test_posts_are_drawn_as_the_solids_that_the_rope_touches(make_env, shape):
     mesh = trimesh.Trimesh(solid.vertices, solid.faces)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(VOLUMES[shape] * POST_HEIGHT, rel=0.01)  # positive: faces look outward
-    np.testing.assert_allclose(mesh.center_mass, base.post_origin[1], atol=1e-5)
-    heights = base._heights(torch.as_tensor(solid.vertices, dtype=torch.float32).expand(2, -1, 3))[1]
+    np.testing.assert_allclose(mesh.center_mass, base.solver.collider_positions[1, 0], atol=1e-5)
+    vertices = torch.as_tensor(solid.vertices, dtype=torch.float32).expand(2, -1, 3)
+    heights = base.in_post_frame(vertices, base.post_rotation)[1, :, 2]
     np.testing.assert_allclose([heights.min(), heights.max()], [0.0, POST_HEIGHT], atol=1e-6)

@@ -4,26 +4,20 @@ import math
 
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.tasks.post_leash import limit_around_post
-from maniskill_grpd.tasks.winding import angles_between, arms_from_axis, taut_curve, winding_number
-
-UP = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
-ORIGIN = torch.zeros(1, 3, dtype=torch.float64)
+from maniskill_grpd.tasks.post_leash import limit_around_post, taut_length
+from maniskill_grpd.tasks.winding import angles_between, winding_number
 
 
-def arc(turns, num_nodes=40, centre=(0.0, 0.0), radius=1.0):
-    """Return nodes (1, N, 3) on an arc, unevenly spaced and at changing heights."""
-    share = torch.linspace(0.0, 1.0, num_nodes, dtype=torch.float64) ** 1.5
-    angle = 2 * math.pi * turns * share
-    x, y = radius * angle.cos() + centre[0], radius * angle.sin() + centre[1]
-    return torch.stack([x, y, 0.3 * (7.0 * share).sin()], dim=-1)[None]
+def arc(turns, num_nodes=40, centre=(0.0, 0.0)):
+    """Return unevenly spaced nodes (1, N, 2) on an arc of radius 1."""
+    angle = 2 * math.pi * turns * torch.linspace(0.0, 1.0, num_nodes, dtype=torch.float64) ** 1.5
+    return torch.stack([angle.cos() + centre[0], angle.sin() + centre[1]], dim=-1)[None]
 
 
-def wind(points, mask=None, origin=ORIGIN, axis=UP):
+def wind(points, mask=None):
     mask = torch.ones(points.shape[:2], dtype=torch.bool) if mask is None else mask
-    return winding_number(arms_from_axis(points, origin, axis), mask, axis).item()
+    return winding_number(points, mask).item()
 
 
 @pytest.mark.parametrize("turns", [0.25, 0.95, 1.0, -1.0, 2.0, -2.5])
@@ -31,7 +25,7 @@ def test_arcs_wind_by_their_turns(turns):
     assert wind(arc(turns)) == pytest.approx(turns, abs=1e-12)
 
 
-def test_closed_curves_wind_by_whole_turns_wherever_the_axis_is():
+def test_closed_curves_wind_by_whole_turns_wherever_the_origin_is():
     assert wind(arc(1.0, centre=(0.6, -0.5))) == pytest.approx(1.0, abs=1e-12)
     assert wind(arc(1.0, centre=(0.8, -0.7))) == pytest.approx(0.0, abs=1e-12)
     there_and_back = torch.cat([arc(0.8), arc(0.8).flip(1)], dim=1)
@@ -39,95 +33,99 @@ def test_closed_curves_wind_by_whole_turns_wherever_the_axis_is():
 
 
 def test_winding_needs_no_fine_curve_and_ignores_padding():
-    triangle = torch.tensor([[[1.0, 0, 0], [-1, 1, 0], [-1, -1, 0], [1, 0, 0], [0, 0, 0], [5, 5, 5]]], dtype=torch.float64)
+    triangle = torch.tensor([[[1.0, 0], [-1, 1], [-1, -1], [1, 0], [0, 0], [5, 5]]], dtype=torch.float64)
     mask = torch.tensor([[True] * 4 + [False] * 2])
     assert wind(triangle, mask) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_winding_moves_with_the_axis():
-    rotation = torch.as_tensor(Rotation.random(random_state=3).as_matrix())
-    translation = torch.tensor([[0.3, -2.0, 1.0]], dtype=torch.float64)
-    moved = arc(-1.3) @ rotation.T + translation
-    assert wind(moved, origin=translation, axis=UP @ rotation.T) == pytest.approx(-1.3, abs=1e-12)
-    assert wind(moved, origin=translation, axis=-UP @ rotation.T) == pytest.approx(1.3, abs=1e-12)
-
-
-def polar(radius, angle):
-    return torch.tensor([radius * math.cos(angle), radius * math.sin(angle), 0.0], dtype=torch.float64)
+def test_winding_does_not_depend_on_the_frame_and_changes_sign_in_a_mirror():
+    curve = torch.randn(1, 30, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    turn = torch.tensor([[0.6, -0.8], [0.8, 0.6]], dtype=torch.float64)
+    assert wind(curve @ turn) == pytest.approx(wind(curve), abs=1e-12)
+    assert wind(curve * torch.tensor([1.0, -1.0])) == pytest.approx(-wind(curve), abs=1e-12)
+    assert wind(curve.flip(1)) == pytest.approx(-wind(curve), abs=1e-12)
 
 
 def taut(first, second, turned, radius=0.1):
-    ends = torch.stack([first, second])[None]
-    turned, radius = (torch.tensor([value], dtype=torch.float64) for value in (turned, radius))
-    length, directions = taut_curve(ends, turned, radius, UP)
-    return length.item(), directions[0]
+    values = (torch.tensor(value, dtype=torch.float64) for value in ([[first, second]], [turned], [radius]))
+    return taut_length(*values).item()
 
 
 @pytest.mark.parametrize(
     ("first", "second", "turned", "expected"),
     [
-        (polar(0.1, 0.0), polar(0.1, 3.0), 3.0, 0.3),  # an arc alone
-        (polar(0.1, 0.0), polar(0.1, -1.0), 2 * math.pi - 1.0, 0.1 * (2 * math.pi - 1.0)),
-        (polar(0.2, 0.0), polar(0.2, math.pi), -math.pi, 2 * 0.03**0.5 + 0.1 * math.pi / 3),  # two tangents, 60 degrees each
-        (polar(0.2, 0.0), polar(0.2, 0.5), 0.5, 0.0),  # a chord that passes the cylinder
+        (0.1, 0.1, 3.0, 0.3),  # an arc alone
+        (0.1, 0.1, 7.0, 0.7),
+        (0.05, 0.1, 3.0, 0.3),  # an end within the disc counts as one on its rim
+        (0.2, 0.2, math.pi, 2 * 0.03**0.5 + 0.1 * math.pi / 3),  # two tangents, 60 degrees each
+        (0.2, 0.2, 2.0, 0.0),  # a chord that passes the disc
     ],
 )
 def test_taut_curves_have_the_length_of_tangents_and_arc(first, second, turned, expected):
-    assert taut(first, second, turned)[0] == pytest.approx(expected, abs=1e-12)
+    assert taut(first, second, turned) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize("turned", [4.0, -4.0])
-def test_taut_curves_grow_along_the_directions_of_their_ends(turned):
-    first, second = polar(0.3, 0.0), polar(0.25, turned)
-    length, directions = taut(first, second, turned)
-    torch.testing.assert_close(directions.norm(dim=-1), torch.ones(2, dtype=torch.float64))
-    for end in range(2):
-        for shift in 1e-6 * torch.eye(3, dtype=torch.float64)[:2]:
-            ends = [first, second]
-            ends[end] = ends[end] + shift
-            moved = angles_between(torch.stack([first, second])[None], torch.stack(ends)[None], UP)[0]
-            change = taut(*ends, turned + (moved[1] - moved[0]).item())[0] - length
-            assert change == pytest.approx((directions[end] @ shift).item(), abs=1e-10)
+def test_taut_curves_are_the_shortest_ones():
+    """Against polylines whose inner nodes are free to move along rays from the origin, down to the disc's rim."""
+    first, second, turned, radius, num = 0.3, 0.25, 4.0, 0.1, 400
+    angles = torch.linspace(0.0, turned, num, dtype=torch.float64)
+    # The distance of a tangent from the origin at an angle from its point of contact is radius / cos(angle).
+    contact = [math.acos(radius / first), turned - math.acos(radius / second)]
+    distances = torch.full((num,), radius, dtype=torch.float64)
+    for contact_angle, on_tangent in zip(contact, (angles < contact[0], angles > contact[1]), strict=True):
+        distances = torch.where(on_tangent, radius / (angles - contact_angle).cos(), distances)
+
+    def length(distances):
+        points = torch.stack([distances * angles.cos(), distances * angles.sin()], dim=-1)
+        return points.diff(dim=0).norm(dim=-1).sum().item()
+
+    assert length(distances) == pytest.approx(taut(first, second, turned), rel=1e-5)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(50):
+        inner = (torch.rand(num, generator=generator).double() - 0.5).cumsum(0) * 0.005
+        inner[[0, -1]] = 0.0
+        assert length((distances + inner).clamp(min=radius)) > length(distances)
 
 
 def draw_ends(num=500):
     generator = torch.Generator().manual_seed(0)
-    radii = 0.08 + torch.rand(num, 2, generator=generator)
+    distances = 0.08 + torch.rand(num, 2, generator=generator)
     turned = 12.0 * torch.rand(num, generator=generator) - 6.0
     start = 6.0 * torch.rand(num, generator=generator)
     angles = torch.stack([start, start + turned], dim=1)
     heights = 0.3 * torch.rand(num, 2, generator=generator)
-    return torch.stack([radii * angles.cos(), radii * angles.sin(), heights], dim=-1).double(), turned.double()
+    return torch.stack([distances * angles.cos(), distances * angles.sin(), heights], dim=-1), turned
+
+
+def way_around(ends, turned):
+    """Return the length of the taut rope between ends, (B,)."""
+    across = taut_length(ends[..., :2].norm(dim=-1), turned.abs(), torch.full_like(turned, 0.07))
+    return torch.hypot(across, ends[:, 1, 2] - ends[:, 0, 2])
 
 
 def test_limited_ends_are_within_reach_of_the_rope():
-    ends, turned = draw_ends()
-    everywhere = torch.ones(len(ends)).double()
-    axis, origin = UP.expand(len(ends), 3), ORIGIN.expand(len(ends), 3)
-    limited = limit_around_post(ends, turned, 0.8 * everywhere, 0.07 * everywhere, origin, axis)
-    moved = angles_between(arms_from_axis(ends, origin, axis), arms_from_axis(limited, origin, axis), axis)
-    turned_after = turned + moved[:, 1] - moved[:, 0]
-    way, _ = taut_curve(arms_from_axis(limited, origin, axis), turned_after, 0.07 * everywhere, axis)
-    rise = limited[:, 1, 2] - limited[:, 0, 2]
-    assert (way.square() + rise.square()).sqrt()[(limited != ends).flatten(1).any(1)].max() < 0.8 * 1.02
-    before, _ = taut_curve(arms_from_axis(ends, origin, axis), turned, 0.07 * everywhere, axis)
-    far = before > 0.8
-    assert 0.2 < far.double().mean() < 0.9
-    rise = ends[:, 1, 2] - ends[:, 0, 2]
-    reached = before.square() + rise.square() <= 0.8**2
-    assert torch.equal(limited[reached], ends[reached])
-    free = limit_around_post(ends, turned, torch.full_like(turned, torch.inf), 0.07 * everywhere, origin, axis)
-    assert torch.equal(free, ends)
-
-
-def test_limit_turns_with_the_scene():
-    ends, turned = draw_ends(50)
-    everywhere = torch.ones(len(ends)).double()
-    rotation = torch.as_tensor(Rotation.random(random_state=5).as_matrix())
-    shift = torch.tensor([1.0, -2.0, 0.5]).double()
-    axis, origin = UP.expand(len(ends), 3), ORIGIN.expand(len(ends), 3)
-    here = limit_around_post(ends, turned, 0.8 * everywhere, 0.07 * everywhere, origin, axis)
-    there = limit_around_post(
-        ends @ rotation.T + shift, turned, 0.8 * everywhere, 0.07 * everywhere, origin + shift, axis @ rotation.T
+    ends, turned = draw_ends(5000)
+    length, radius = torch.full_like(turned, 0.8), torch.full_like(turned, 0.07)
+    limited = limit_around_post(ends, turned, length, radius)
+    moved = angles_between(ends[..., :2], limited[..., :2])
+    way, is_around = way_around(ends, turned), taut_length(ends[..., :2].norm(dim=-1), turned.abs(), radius) > 0.0
+    assert torch.equal(limited[~is_around | (way <= 0.8)], ends[~is_around | (way <= 0.8)])
+    is_a_step_too_far = is_around & (way > 0.8) & (way < 0.86)  # each gripper moves by 3 cm at most
+    assert is_a_step_too_far.sum() > 50
+    torch.testing.assert_close(
+        way_around(limited, turned + moved[:, 1] - moved[:, 0])[is_a_step_too_far], length[is_a_step_too_far], atol=1e-5, rtol=0
     )
-    torch.testing.assert_close(there, here @ rotation.T + shift, atol=1e-9, rtol=0)
+    assert torch.equal(limit_around_post(ends, turned, torch.full_like(turned, torch.inf), radius), ends)
+
+
+def test_both_ends_give_way_by_the_same_amount_along_the_taut_rope():
+    ends = torch.tensor([[[0.3, 0.0, 0.0], [-0.3, 0.0, 0.0]]], dtype=torch.float64)
+    turned, radius = torch.tensor([math.pi], dtype=torch.float64), torch.tensor([0.1], dtype=torch.float64)
+    way = taut_length(ends[..., :2].norm(dim=-1), turned, radius)
+    moved = limit_around_post(ends, turned, way - 1e-4, radius) - ends
+    # Counter-clockwise over the top; the tangents meet the ends at asin(0.1 / 0.3) from the line to the axis.
+    sine, cosine = 1 / 3, 8**0.5 / 3
+    expected = 0.5e-4 * torch.tensor([[[-cosine, sine, 0.0], [cosine, sine, 0.0]]], dtype=torch.float64)
+    torch.testing.assert_close(moved, expected, atol=1e-7, rtol=0)
+    clockwise = limit_around_post(ends, -turned, way - 1e-4, radius) - ends
+    torch.testing.assert_close(clockwise, expected * torch.tensor([1.0, -1.0, 1.0]), atol=1e-7, rtol=0)
