@@ -13,8 +13,9 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, rope
 from maniskill_grpd.tasks import channels
+from maniskill_grpd.tasks.collider_solids import collider_solids
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing, Solid, Tube
+from maniskill_grpd.tasks.drawing import Drawing, Tube
 from maniskill_grpd.tasks.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.node_statistics import mean_over_nodes
 from maniskill_grpd.tasks.post_leash import limit_around_post
@@ -153,10 +154,11 @@ class RopeWrappingEnv(DeformableEnv):
         for index, model in enumerate(self.models):
             along[index, : model.num_nodes] = model.rest_positions[:, 0]
         ends = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
-        radii = [POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes]
-        is_shape = [[float(name == shape) for name in POSTS] for shape in self.shapes]
-        self._along, self._end_nodes = (torch.as_tensor(table, device=self.device) for table in (along, ends))
-        self._taut_radii, self._is_shape = (torch.tensor(table, device=self.device) for table in (radii, is_shape))
+        radii = np.array([POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes])
+        is_shape = np.array([[name == shape for name in POSTS] for shape in self.shapes], np.float32)
+        self._along, self._end_nodes, self._taut_radii, self._is_shape = (
+            torch.as_tensor(table, device=self.device) for table in (along, ends, radii, is_shape)
+        )
 
     def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         variant = self.solver.variants[worlds].long()
@@ -215,19 +217,22 @@ class RopeWrappingEnv(DeformableEnv):
         self._shorten_reach()
 
     def _shorten_reach(self) -> None:
-        """Draw gripper targets together until the rope reaches from one to the other around the post, if it is beside it."""
-        solver, rotation = self.solver, self.post_rotation
+        """Draw gripper targets together until the rope reaches from one to the other around the post, if it is beside it.
+
+        In double precision: float32 angles round differently at different places of a batch, and targets must not.
+        """
+        solver, rotation = self.solver, self.post_rotation.double()
         rope, starts, ends = (
-            self.in_post_frame(points, rotation)
+            self.in_post_frame(points.double(), rotation)
             for points in (solver.positions, solver.gripper_positions, solver.gripper_targets)
         )
         turned = torch.nn.functional.pad(turning_angles(rope[..., :2], solver.node_mask).cumsum(dim=1), (1, 0))
         turned = turned.gather(1, solver.gripper_nodes.long().clamp(min=0))
         turned = turned + angles_between(starts[..., :2], ends[..., :2])
         is_beside = ((rope[..., 2] <= POST_HEIGHT) & solver.node_mask).any(dim=1)
-        length = torch.where(is_beside, solver.leashes[:, 0, 1], torch.inf)
+        length = torch.where(is_beside, solver.leashes[:, 0, 1].double(), torch.inf)
         limited = limit_around_post(ends, turned[:, 1] - turned[:, 0], length, self._taut_radii[self._shape_of_worlds])
-        solver.gripper_targets.add_((limited - ends) @ rotation.mT)
+        solver.gripper_targets.copy_(solver.gripper_targets + (limited - ends) @ rotation.mT)
 
     @property
     def _shape_of_worlds(self) -> torch.Tensor:
@@ -302,17 +307,11 @@ class RopeWrappingEnv(DeformableEnv):
         solver = self.solver
         return Drawing(
             object=Tube(self._nodes_of(world, solver.positions), solver.model.radius),
-            solids=(self._solid(world),),
+            solids=collider_solids(solver, world),
             grippers=solver.gripper_positions[world].cpu().numpy(),
             closed=solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
         )
-
-    def _solid(self, world: int) -> Solid:
-        """Return the post of a world, where it stands."""
-        vertices, faces = POSTS[self.shapes[int(self._shape_of_worlds[world])]].solid()
-        origin = self.solver.collider_positions[world, 0].cpu().numpy()
-        return Solid(vertices @ self.post_rotation[world].cpu().numpy().T + origin, faces)
 
 
 def _check_shapes(shapes: str | Sequence[str]) -> tuple[str, ...]:

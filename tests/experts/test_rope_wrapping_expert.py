@@ -83,6 +83,23 @@ def test_actions_turn_with_the_worlds(make_env):
         env.unwrapped.set_state_dict(state)
 
 
+def test_action_is_a_continuous_function_of_the_grippers(make_env):
+    """A threshold would be a jump that no network can imitate.
+
+    A gripper that moves by 0.1 mm at 0.07 m or more from the axis moves its target by 0.13 / 0.07 of that at most: the way there
+    changes by 0.3 mm, a hundredth of a step.
+    """
+    env = make_env(32)
+    expert = make_expert("RopeWrapping-v1", env)
+    grippers, generator = env.unwrapped.solver.gripper_positions, torch.Generator().manual_seed(0)
+    for _ in range(30):
+        action, kept = expert.act(), grippers.clone()
+        grippers += 1e-4 * torch.nn.functional.normalize(torch.randn(grippers.shape, generator=generator), dim=-1)
+        assert (expert.act() - action).unflatten(1, (2, 3)).norm(dim=-1).max() < 0.011
+        grippers.copy_(kept)
+        env.step(action)
+
+
 def test_expert_goes_on_after_disturbances(make_env):
     env = make_env(64)
     expert = make_expert("RopeWrapping-v1", env)

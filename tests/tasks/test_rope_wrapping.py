@@ -393,6 +393,20 @@ def test_a_restored_state_has_the_same_future(make_env):
     assert torch.equal(env.unwrapped.get_state(), other.unwrapped.get_state())
 
 
+def test_a_world_does_not_depend_on_its_place_in_the_batch(make_env):
+    """To the bit, also where the way around the post limits the grippers."""
+    many, few = make_env(20, shapes=ALL_SHAPES, obs_mode="none"), make_env(3, shapes=ALL_SHAPES, obs_mode="none")
+    many.reset(seed=list(range(20)))
+    few.reset(seed=[5, 6, 7])
+    push = simple_policies(many.unwrapped, None)["push straight on"](0)
+    for _ in range(30):
+        many.step(push)
+        few.step(push[5:8])
+    here, there = many.unwrapped.solver, few.unwrapped.solver
+    assert torch.equal(here.gripper_positions[5:8], there.gripper_positions)
+    assert torch.equal(here.positions[5:8], there.positions)
+
+
 def test_resets_of_some_worlds_leave_the_others_alone(make_env):
     env, untouched = make_env(5, shapes=ALL_SHAPES), make_env(5, shapes=ALL_SHAPES)
     push = simple_policies(env.unwrapped, None)["push straight on"](0)
