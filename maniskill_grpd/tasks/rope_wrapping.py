@@ -297,7 +297,8 @@ class RopeWrappingEnv(DeformableEnv):
         } | {f"post_is_{name}": is_shape[:, index] for index, name in enumerate(POSTS)}
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
-        obs = {"post_pose": torch.cat([self.solver.collider_positions[:, 0], self.solver.collider_rotations[:, 0]], dim=1)}
+        pose = torch.cat([self.solver.collider_positions[:, 0], self.solver.collider_rotations[:, 0]], dim=1)
+        obs = {"post_pose": pose, "post_shape": self._is_shape[self._shape_of_worlds]}
         if self.obs_mode_struct.use_state:
             obs["rope_positions"] = self.solver.positions.flatten(1).clone()
             obs["rope_velocities"] = self.solver.velocities.flatten(1).clone()

@@ -452,6 +452,13 @@ def test_grippers_hold_the_ends_at_every_resolution(make_env):
     assert len(base.solver.variants.unique()) == 2
 
 
+def test_flat_observations_tell_the_pose_and_the_shape_of_the_post(make_env):
+    env = make_env(6, shapes=("prism", "box"), obs_mode="state_dict")
+    extra, solver = env.unwrapped.get_obs()["extra"], env.unwrapped.solver
+    assert torch.equal(extra["post_pose"], torch.cat([solver.collider_positions[:, 0], solver.collider_rotations[:, 0]], dim=1))
+    assert torch.equal(extra["post_shape"], torch.eye(3)[[2, 1]][solver.collider_active.long().argmax(dim=1)])
+
+
 @pytest.mark.parametrize("shape", ALL_SHAPES)
 def test_posts_are_drawn_as_the_solids_that_the_rope_touches(make_env, shape):
     base = make_env(2, shapes=shape).unwrapped
