@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,19 +41,21 @@ IS_MOVING = Channel("is_moving", "scalar", "", "1 where the node belongs to the 
 class CreaseRange(NamedTuple):
     """The creases of one number of grippers."""
 
+    directions: Callable[[np.ndarray], np.ndarray]
+    """Gives the directions (S, 2) about which the normals of the creases of an outline (P, 2) are drawn."""
     deviation: float
-    """Largest angle between the crease's normal and the direction of a side or corner [rad]."""
-    shares: tuple[float, float]
-    """Smallest and largest share of the cloth's area that is to move."""
+    """Largest angle between a normal and its direction [rad]."""
     grip_angles: tuple[float, ...]
     """Each gripper holds the node farthest in a direction this far from the crease's normal [rad]."""
 
 
 CREASES = {
-    1: CreaseRange(np.deg2rad(10.0), (0.25, 0.5), (0.0,)),
-    2: CreaseRange(np.deg2rad(20.0), (0.25, 0.5), (-np.deg2rad(25.0), np.deg2rad(25.0))),
+    1: CreaseRange(corner_directions, np.deg2rad(10.0), (0.0,)),
+    2: CreaseRange(side_directions, np.deg2rad(20.0), (-np.deg2rad(25.0), np.deg2rad(25.0))),
 }
-"""Ranges of the creases by the number of grippers."""
+"""Creases by the number of grippers."""
+MOVING_SHARES = (0.25, 0.5)
+"""Smallest and largest share of the cloth's area that is to move."""
 
 
 @register_env("ClothFolding-v1", max_episode_steps=100)
@@ -69,9 +71,9 @@ class ClothFoldingEnv(DeformableEnv):
     - the centre of the cloth is uniform in the square [-0.15, 0.15] m x [-0.15, 0.15] m
     - its direction is uniform in [-180, 180] degrees
     - the crease is drawn in the frame of the cloth, independently of where that lies: with two grippers any side of the shape
-      (of its convex hull) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
+      (for an L of its box) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
       [-20, 20] degrees; with one gripper any corner is, and the angle to its bisector is uniform in [-10, 10] degrees
-    - the half that is to move has a share of the area uniform in [0.25, 0.5] with two grippers, [0.15, 0.35] with one
+    - the half that is to move has a share of the area uniform in [0.25, 0.5]
     - with `shapes=("square", "triangle", ...)` each episode draws one of the shapes, likewise with several resolutions
     - `pose_range="half"` and `"quarter"` shrink all ranges about their middle to a half and a quarter
 
@@ -121,16 +123,17 @@ class ClothFoldingEnv(DeformableEnv):
     DRIFT_LIMIT = 0.02
     """Success: mean distance below which the resting half has stayed where it was [m]."""
 
+    DRIFT_WEIGHT = 1.5
+    """Weight of the drift of the resting half against the distance of the moving half. A cloth that is pushed across the table as
+    a whole brings its moving half nearer to the goal, but never by more than it drifts: above 1, that does not pay."""
     FAR_WEIGHT = 0.2
     """Share of the reward that draws the moving half over from anywhere."""
-    FAR_SCALE = 0.1
-    """Mean distance [m] of the moving half at which that share has fallen to a quarter."""
+    FAR_SCALE = 0.2
+    """Weighted distance [m] at which that share has fallen to a quarter."""
     NEAR_WEIGHT = 0.3
     """Share of the reward for precision."""
     NEAR_SCALE = 0.03
-    """Mean distance [m] of the moving half at which that share has fallen to 1 / e."""
-    DRIFT_SCALE = 0.03
-    """Drift of the resting half [m] at which both shares have fallen to 1 / e."""
+    """Weighted distance [m] at which that share has fallen to 1 / e."""
     SUCCESS_WEIGHT = 0.5
     """Share of the reward for success."""
 
@@ -148,8 +151,8 @@ class ClothFoldingEnv(DeformableEnv):
             num_grippers: 2 (default) or 1.
             resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
                 two grippers and 225 with one.
-            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or "l_shape"; of several, each episode draws
-                one.
+            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or, with two grippers, "l_shape"; of several,
+                each episode draws one.
             settings: Options of `DeformableEnv`.
 
         Raises:
@@ -167,6 +170,8 @@ class ClothFoldingEnv(DeformableEnv):
     # ------------------------------------------------------------------ episode
 
     def _build_models(self) -> list[Model]:
+        if self.num_grippers == 1 and "l_shape" in self.shapes:
+            raise ValueError("l_shape needs two grippers: what is beyond a crease of an L is not carried by one point")
         self.resolutions = self.resolutions or (DEFAULT_RESOLUTIONS[self.num_grippers],)
         self._outline_of_variant = [cloth_outline(name, CLOTH_AREA) for name in self.shapes for _ in self.resolutions]
         sizes = self.resolutions * len(self.shapes)
@@ -181,8 +186,7 @@ class ClothFoldingEnv(DeformableEnv):
         self.is_moving = self._episode_tensor("is_moving", num_nodes, kind="scalar")
         self.crease_normal = self._episode_tensor("crease_normal", 3, kind="vector")
         self.crease_ends = self._episode_tensor("crease_ends", 2, 3, kind="position")
-        directions_of = side_directions if self.num_grippers == 2 else corner_directions
-        directions = [directions_of(outline) for outline in self._outline_of_variant]
+        directions = [CREASES[self.num_grippers].directions(outline) for outline in self._outline_of_variant]
         candidates = [self._candidate_gripper_nodes(model) for model in self.models]
         self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
         self._directions, self._outlines, self._rest, self._candidates = (
@@ -216,7 +220,7 @@ class ClothFoldingEnv(DeformableEnv):
         ranges, count = CREASES[self.num_grippers], self._num_directions[variant]
         index = ((draws[:, 0] + 1.0) / 2.0 * count).long()
         direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
-        low, high = ranges.shares
+        low, high = MOVING_SHARES
         share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws[:, 2]
         normal = _turn(direction[:, None], ranges.deviation * self._pose_share * draws[:, 1])[:, 0]
         return normal, offset_of_share(self._outlines[variant], normal, share)
@@ -251,15 +255,11 @@ class ClothFoldingEnv(DeformableEnv):
         return {"success": is_folded & ~fail, "fail": fail, "fold_distance": fold_distance, "drift": drift}
 
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure.
-
-        Nearness of the moving half counts as long as the other half rests: a cloth that is pushed across the table as a whole
-        brings that half near to where it should be, too.
-        """
-        far = 1.0 - torch.tanh(info["fold_distance"] / self.FAR_SCALE)
-        near = torch.exp(-((info["fold_distance"] / self.NEAR_SCALE) ** 2))
-        rests = torch.exp(-((info["drift"] / self.DRIFT_SCALE) ** 2))
-        reward = (self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near) * rests + self.SUCCESS_WEIGHT * info["success"]
+        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
+        distance = info["fold_distance"] + self.DRIFT_WEIGHT * info["drift"]
+        far = 1.0 - torch.tanh(distance / self.FAR_SCALE)
+        near = torch.exp(-((distance / self.NEAR_SCALE) ** 2))
+        reward = self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
         return reward * ~info["fail"]
 
     def _object_values(self) -> dict[str, torch.Tensor]:
