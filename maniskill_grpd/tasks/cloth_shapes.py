@@ -60,16 +60,3 @@ def check_cloth_shapes(shapes: str | Sequence[str]) -> tuple[str, ...]:
     if not names or any(name not in CLOTH_SHAPES for name in names):
         raise ValueError(f"shapes of cloth must be among {', '.join(CLOTH_SHAPES)}, got {list(names)}")
     return names
-
-
-def check_cloth_resolutions(resolution: int | Sequence[int]) -> tuple[int, ...]:
-    """Return one or several numbers of nodes as a tuple.
-
-    Raises:
-        ValueError: If there is none, or one is not within `RESOLUTIONS`.
-    """
-    numbers = (resolution,) if np.ndim(resolution) == 0 else tuple(resolution)
-    low, high = RESOLUTIONS
-    if not numbers or not all(low <= number <= high for number in numbers):
-        raise ValueError(f"resolutions must be in [{low}, {high}] nodes, got {list(numbers)}")
-    return tuple(int(number) for number in numbers)

@@ -16,6 +16,7 @@ from maniskill_grpd.tasks.surfaces import (
     ghost_surface,
     gripper_surfaces,
     mark_surface,
+    shadow_surface,
     surface_of,
     table_lines,
     table_top,
@@ -23,7 +24,6 @@ from maniskill_grpd.tasks.surfaces import (
 
 SAMPLES = 2
 """Samples per pixel and direction: edges get soft."""
-SHADOW_DARKNESS = 0.30
 SHADOW_BLUR = 5
 """Width of the soft edge of shadows [pixels]."""
 AMBIENT, DIFFUSE, GLOSS = 0.58, 0.50, 0.16
@@ -106,16 +106,14 @@ class NumpyPainter:
 
     def _cast_shadows(self, surfaces: list[Surface]) -> None:
         """Darken the table where light does not get past some surfaces."""
-        light = palette.LIGHT_DIRECTION
         shadow = np.zeros(self._canvas.nearness.shape, dtype=np.float32)
         for surface in surfaces:
-            heights = surface.vertices[:, 2:].clip(0.0)
-            corners, _ = self._camera.project((surface.vertices - heights * light / light[2])[surface.faces])
-            fragments = scan(corners, shadow.shape)
+            shade = shadow_surface(surface)
+            fragments = scan(self._camera.project(shade.vertices[shade.faces])[0], shadow.shape)
             shadow[fragments.rows, fragments.columns] = 1.0
         window = _window(shadow > 0.0, SHADOW_BLUR * SAMPLES)
-        shadow = uniform_filter(shadow[window], SHADOW_BLUR * SAMPLES) * (self._with_table.nearness[window] > 0.0)
-        self._canvas.colors[window] *= (1.0 - SHADOW_DARKNESS * shadow)[..., None]
+        shadow = uniform_filter(shadow[window], SHADOW_BLUR * SAMPLES)
+        self._canvas.colors[window] *= (1.0 - palette.SHADOW_DARKNESS * shadow)[..., None]
 
     def _draw_edges(self) -> None:
         """Darken what lies just behind the edge of something nearer."""
@@ -128,7 +126,7 @@ class NumpyPainter:
         self._canvas.colors[window] *= (1.0 - strength)[..., None]
 
     def _shaded(
-        self, surface: Surface, front: tuple[float, ...], back: tuple[float, ...]
+        self, surface: Surface, front: palette.Color, back: palette.Color
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the triangles of a surface as a canvas takes them, each in the colour of the side that is seen."""
         corners = surface.vertices[surface.faces]

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+Color = tuple[float, float, float]
+
 BACKGROUND = (0.975, 0.972, 0.962)
 TABLE = (0.872, 0.880, 0.892)
+SHADOW_DARKNESS = 0.30
+"""Share of the light of the table that is missing in a shadow."""
 TABLE_LINES = (0.800, 0.812, 0.830)
 FRONT = (0.890, 0.420, 0.225)
 """Ropes, and the front of cloth."""

@@ -16,8 +16,6 @@ CAP_RINGS = 3
 """Rings of vertices of the round ends of tubes."""
 CREASE_ANGLE = np.deg2rad(35.0)
 """Faces of solids that meet at a smaller angle are shaded as one smooth surface [rad]."""
-SIDE_DISTANCE = 0.001
-"""Distance of the two sides of a sheet [m]."""
 GHOST_THICKNESS = 1.6
 """Radius of the ghost of a rope in radii of the rope."""
 MARK_RADIUS = 0.0025
@@ -27,6 +25,8 @@ TABLE_HALF_SIZE = 0.8
 TILE_SIZE = 0.1
 """Distance of the lines on the table [m]."""
 TABLE_LINE_WIDTH = 0.003
+LINE_HEIGHT, SHADOW_HEIGHT = 0.0003, 0.0006
+"""Where lines and shadows lie above the table [m]: far enough to be told apart."""
 JAW_RADIUS = 0.016
 """Radius of the grippers' balls [m]."""
 JAW_OPENING = 0.014
@@ -45,7 +45,7 @@ class Surface:
     """Unit normals of the front at the vertices, (n, 3)."""
 
     def moved(self, offset: np.ndarray) -> Surface:
-        """Return the surface moved by an offset (3,) [m]."""
+        """Return the surface moved by an offset, (3,) or one for each vertex (n, 3) [m]."""
         return Surface(self.vertices + offset, self.faces, self.normals)
 
 
@@ -56,15 +56,9 @@ def surface_of(body: Tube | Sheet | Solid) -> Surface:
     return sheet_surface(body) if isinstance(body, Sheet) else solid_surface(body)
 
 
-def object_sides(body: Tube | Sheet) -> list[tuple[Surface, tuple[float, float, float]]]:
-    """Return surfaces that show their front alone, with their colours: the two sides of a sheet, a hair apart, or a tube."""
-    surface = surface_of(body)
-    if isinstance(body, Tube):
-        return [(surface, palette.FRONT)]
-    offset = SIDE_DISTANCE / 2.0 * surface.normals
-    front = Surface(surface.vertices + offset, surface.faces, surface.normals)
-    back = Surface(surface.vertices - offset, surface.faces[:, ::-1], -surface.normals)
-    return [(front, palette.FRONT), (back, palette.BACK)]
+def turned_over(surface: Surface) -> Surface:
+    """Return a surface with front and back exchanged."""
+    return Surface(surface.vertices, surface.faces[:, ::-1], -surface.normals)
 
 
 def sheet_surface(sheet: Sheet) -> Surface:
@@ -120,6 +114,15 @@ def mark_surface(drawing: Drawing) -> Surface:
     return _joined(tubes)
 
 
+def shadow_surface(surface: Surface) -> Surface:
+    """Return the shadow of a surface on the table, just above it, in triangles that may overlap and have no front."""
+    light = palette.LIGHT_DIRECTION
+    vertices = surface.vertices - surface.vertices[:, 2:].clip(0.0) * light / light[2]
+    vertices[:, :2] = vertices[:, :2].clip(-TABLE_HALF_SIZE, TABLE_HALF_SIZE)
+    vertices[:, 2] = SHADOW_HEIGHT
+    return Surface(vertices, surface.faces, np.broadcast_to([0.0, 0.0, 1.0], vertices.shape))
+
+
 def table_top() -> Surface:
     """Return the top of the table, in the plane z = 0."""
     return _flat_rectangles(np.array([[-1.0, -1.0, 1.0, 1.0]]) * TABLE_HALF_SIZE, 0.0)
@@ -133,7 +136,7 @@ def table_lines() -> Surface:
     full = np.full_like(at, TABLE_HALF_SIZE)
     low, high = at - TABLE_LINE_WIDTH / 2.0, at + TABLE_LINE_WIDTH / 2.0
     bounds = np.concatenate([np.stack([low, -full, high, full], 1), np.stack([-full, low, full, high], 1)])
-    return _flat_rectangles(bounds, 0.0002)
+    return _flat_rectangles(bounds, LINE_HEIGHT)
 
 
 def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:

@@ -19,6 +19,8 @@ from maniskill_grpd.tasks.painters import Painter
 
 FRAME_WIDTH = 0.015
 """Width of the frames of solved worlds in heights of a picture."""
+AMBIENT_LIGHT, DIRECT_LIGHT = 0.35, 2.0
+"""Strengths of SAPIEN's lights."""
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
@@ -64,6 +66,10 @@ class WorldPictures(BaseEnv):
             far=10.0,
             shader_pack=shader_pack,
         )
+
+    def _load_lighting(self, options: dict) -> None:
+        self.scene.set_ambient_light([AMBIENT_LIGHT] * 3)
+        self.scene.add_directional_light(-palette.LIGHT_DIRECTION, [DIRECT_LIGHT] * 3)
 
     def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
         """Return one image per world, (min(B, 16), H, W, 3) uint8; those of solved worlds have a green frame."""

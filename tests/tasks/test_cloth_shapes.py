@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from maniskill_grpd.physics import cloth
-from maniskill_grpd.tasks.cloth_shapes import (
-    CLOTH_SHAPES,
-    check_cloth_resolutions,
-    check_cloth_shapes,
-    cloth_outline,
-)
+from maniskill_grpd.tasks.cloth_shapes import CLOTH_SHAPES, check_cloth_shapes, cloth_outline
 
 CORNERS = {"square": 4, "rectangle": 4, "triangle": 3, "hexagon": 6, "circle": 4, "l_shape": 6}
 
@@ -41,11 +36,3 @@ def test_one_name_or_several_are_accepted_and_others_refused():
             check_cloth_shapes(wrong)
     with pytest.raises(ValueError, match="must be among"):
         cloth_outline("star", 0.16)
-
-
-def test_one_resolution_or_several_are_accepted_and_others_refused():
-    assert check_cloth_resolutions(100) == (100,)
-    assert check_cloth_resolutions([49, 1225]) == (49, 1225)
-    for wrong in (48, [100, 1226], []):
-        with pytest.raises(ValueError, match=r"must be in \[49, 1225\] nodes, got"):
-            check_cloth_resolutions(wrong)
