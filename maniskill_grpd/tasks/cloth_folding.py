@@ -11,9 +11,11 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Model, cloth
+from maniskill_grpd.physics.outlines import signed_area
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.crease import (
+    area_beyond,
     corner_directions,
     crease_ends,
     hull_corners,
@@ -73,7 +75,8 @@ class ClothFoldingEnv(DeformableEnv):
     - the crease is drawn in the frame of the cloth, independently of where that lies: with two grippers any side of the shape
       (for an L of its box) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
       [-20, 20] degrees; with one gripper any corner is, and the angle to its bisector is uniform in [-10, 10] degrees
-    - the half that is to move has a share of the area uniform in [0.25, 0.5]
+    - the half that is to move has a share of the area uniform in [0.25, 0.5]; where 0.25 would leave one of the held points out
+      (slanted creases of triangles and rectangles), from the share at which the crease passes through that point
     - with `shapes=("square", "triangle", ...)` each episode draws one of the shapes, likewise with several resolutions
     - `pose_range="half"` and `"quarter"` shrink all ranges about their middle to a half and a quarter
 
@@ -112,6 +115,9 @@ class ClothFoldingEnv(DeformableEnv):
         channels.CORNER,
         channels.GRIPPER_STATUS,
     )
+
+    CAMERA_POSITION = (0.0, -0.5, 0.8)
+    CAMERA_TARGET = (0.0, -0.03, 0.0)
 
     CENTRE_RANGE = 0.15
     """Largest coordinate of the centre of the cloth [m]."""
@@ -188,6 +194,8 @@ class ClothFoldingEnv(DeformableEnv):
         self.crease_ends = self._episode_tensor("crease_ends", 2, 3, kind="position")
         directions = [CREASES[self.num_grippers].directions(outline) for outline in self._outline_of_variant]
         candidates = [self._candidate_gripper_nodes(model) for model in self.models]
+        areas = [signed_area(outline) for outline in self._outline_of_variant]
+        self._areas = torch.tensor(areas, dtype=torch.float32, device=self.device)
         self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
         self._directions, self._outlines, self._rest, self._candidates = (
             torch.as_tensor(_stack_rows(tables), device=self.device)
@@ -203,7 +211,9 @@ class ClothFoldingEnv(DeformableEnv):
         variant = self.solver.variants[worlds].long()
         draws = self._draw_uniform(worlds, 6)
         pose, rest, radius = draws[:, :3], self._rest[variant], self.solver.model.radius
-        normal, offset = self._draw_crease(variant, draws[:, 3:])
+        normal = self._draw_normal(variant, draws[:, 3:5])
+        held = self._choose_start_nodes(variant, normal)
+        offset = self._draw_offset(variant, normal, held, draws[:, 5])
         beyond = (signed_distances(rest, normal, offset) > 0.0) & self.solver.node_mask[worlds]
         goal = torch.where(beyond[..., None], mirror(rest, normal, offset), rest)
         self.goal_positions[worlds] = self._lay_down(goal, radius + 2.0 * radius * beyond, pose)
@@ -213,17 +223,26 @@ class ClothFoldingEnv(DeformableEnv):
         origin = torch.zeros_like(pose[:, :2])  # a vector is laid down without being shifted
         turn = torch.cat([origin, pose[:, 2:]], dim=1)
         self.crease_normal[worlds] = self._lay_down(normal[:, None], normal.new_zeros(len(worlds), 1), turn)[:, 0]
-        return self._lay_down(rest, rest.new_full(rest.shape[:2], radius), pose), self._choose_start_nodes(variant, normal)
+        return self._lay_down(rest, rest.new_full(rest.shape[:2], radius), pose), held
 
-    def _draw_crease(self, variant: torch.Tensor, draws: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw creases in the frames of the cloths from numbers in [-1, 1) (b, 3): unit normals (b, 2) and offsets (b,) [m]."""
-        ranges, count = CREASES[self.num_grippers], self._num_directions[variant]
+    def _draw_normal(self, variant: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
+        """Draw unit normals of creases in the frames of the cloths, (b, 2), from numbers in [-1, 1) (b, 2)."""
+        count = self._num_directions[variant]
         index = ((draws[:, 0] + 1.0) / 2.0 * count).long()
         direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
+        return _turn(direction[:, None], CREASES[self.num_grippers].deviation * self._pose_share * draws[:, 1])[:, 0]
+
+    def _draw_offset(
+        self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor
+    ) -> torch.Tensor:
+        """Draw offsets of creases (b,) [m], beyond which all held nodes (b, A) lie, from numbers in [-1, 1) (b,)."""
+        outlines, zero = self._outlines[variant], torch.zeros_like(draws)
+        points = self._rest[variant].gather(1, held[..., None].expand(-1, -1, 2))
+        nearest = signed_distances(points, normal, zero).amin(dim=1)
         low, high = MOVING_SHARES
-        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws[:, 2]
-        normal = _turn(direction[:, None], ranges.deviation * self._pose_share * draws[:, 1])[:, 0]
-        return normal, offset_of_share(self._outlines[variant], normal, share)
+        low = (area_beyond(outlines, normal, nearest) / self._areas[variant]).clamp(min=low)
+        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws
+        return offset_of_share(outlines, normal, share)
 
     def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
         """Return the extreme nodes that the grippers hold, (b, A)."""
@@ -291,18 +310,24 @@ class ClothFoldingEnv(DeformableEnv):
 
     def _drawing(self, world: int) -> Drawing:
         model = self.models[int(self.solver.variants[world])]
-        num, normal = model.num_nodes, self.solver.plane[world, :3]
-        moving = self.is_moving[world, :num].cpu().numpy() > 0.0
-        goal_faces = model.faces[moving[model.faces].all(axis=1)]
-        crease = self.crease_ends[world] + 2.0 * model.radius * normal
+        crease = self.crease_ends[world] + 2.0 * model.radius * self.solver.plane[world, :3]
         return Drawing(
-            object=Sheet(self.solver.positions[world, :num].cpu().numpy(), model.faces),
-            goal=Sheet(self.goal_positions[world, :num].cpu().numpy(), goal_faces[:, ::-1]),
+            object=Sheet(self.solver.positions[world, : model.num_nodes].cpu().numpy(), model.faces),
+            goal=self._draw_goal(world, model),
             lines=(Line(crease.cpu().numpy()),),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
             closed=self.solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
         )
+
+    def _draw_goal(self, world: int, model: Model) -> Sheet:
+        """Return the mirrored half, up to the crease: nodes of triangles that the crease cuts are brought onto it."""
+        goals, moving = self.goal_positions[world, : model.num_nodes], self.is_moving[world, : model.num_nodes] > 0.0
+        normal, up = self.crease_normal[world], self.solver.plane[world, :3]
+        short = ((self.crease_ends[world, 0] - goals) @ normal)[:, None]
+        vertices = torch.where(moving[:, None], goals, goals + short * normal + 2.0 * model.radius * up)
+        faces = model.faces[moving.cpu().numpy()[model.faces].any(axis=1)]
+        return Sheet(vertices.cpu().numpy(), faces[:, ::-1])  # the mirror image is seen from behind
 
 
 def _turn(points: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
