@@ -63,7 +63,7 @@ class PegHanger(Hanger):
 
     def distances_to(self, points: torch.Tensor, point: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
         """See `Hanger.distances_to`."""
-        return distances_to_segment(points, point - self.RADIUS * axis, (self.RADIUS - self.LENGTH) * axis) - self.RADIUS
+        return distances_to_segment(points, point - self.RADIUS * axis, (2.0 * self.RADIUS - self.LENGTH) * axis) - self.RADIUS
 
     def measure(self, solver: Solver, loop: torch.Tensor, point: torch.Tensor, axis: torch.Tensor) -> Hanging:
         """See `Hanger.measure`; the seat is the hole."""
