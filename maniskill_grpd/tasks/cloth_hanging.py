@@ -45,7 +45,7 @@ class ClothHangingEnv(DeformableEnv):
     **Task Description:**
     Four floating grippers (optionally three) hold a cloth by its corners in the air and must bring
     it onto a peg of any position and direction, through a hole of 6 cm radius in the middle of the
-    cloth. The peg is 0.25 m long and 2 cm thick and stands on a round plate. The cloth has an area
+    cloth. The peg is 0.25 m long and 3 cm thick and stands on a round plate. The cloth has an area
     of 0.16 m^2 and is a square by default. There is no table; gravity acts.
 
     With `hanger="bar"` a cloth without a hole must be draped over a bar, 0.6 m long and 2 cm thick.
@@ -149,7 +149,7 @@ class ClothHangingEnv(DeformableEnv):
             shapes: Names of the cloth's outline, see `CLOTH_SHAPES`; of several, each episode draws one.
             resolution: Number of nodes of the cloth, 49 to 1225, that of its mesh is about as large; of several, each episode
                 draws one.
-            hole_radius: Radius of the hole for a peg, 0.02 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.
+            hole_radius: Radius of the hole for a peg, 0.03 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.
             settings: Options of `DeformableEnv`; `num_grippers` is 3 or 4 (default).
 
         Raises:
