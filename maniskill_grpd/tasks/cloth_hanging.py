@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from mani_skill.sensors.camera import CameraConfig
-from mani_skill.utils import sapien_utils
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
@@ -107,6 +105,10 @@ class ClothHangingEnv(DeformableEnv):
         SEAT_DEPTH,
         channels.GRIPPER_STATUS,
     )
+
+    CAMERA_POSITION = (-0.9, -2.3, 1.1)  # from there it sees hangers in all directions from the origin
+    CAMERA_TARGET = (0.0, 0.0, 0.0)
+    CAMERA_FOV = 0.75
 
     CENTRE_RANGE = 0.1
     """Largest coordinate of the middle of the cloth [m]."""
@@ -303,14 +305,6 @@ class ClothHangingEnv(DeformableEnv):
             closed=solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
             has_table=self.HAS_TABLE,
-        )
-
-    @staticmethod
-    def _camera(uid: str, size: int, shader_pack: str) -> CameraConfig:
-        """Return a camera that sees all of the space in which hangers stand."""
-        pose = sapien_utils.look_at(eye=[-0.9, -2.3, 1.1], target=[0.0, 0.0, 0.0])
-        return CameraConfig(
-            uid, pose=pose, width=size, height=size, fov=0.75, near=0.01, far=10.0, shader_pack=shader_pack
         )
 
 
