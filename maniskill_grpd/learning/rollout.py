@@ -69,12 +69,13 @@ class Batch:
 
     def select(self, index: torch.Tensor) -> Batch:
         """Gather some of the transitions, int64 positions (m,)."""
-        return self._map(lambda tensor: tensor.index_select(0, index))
+        return self.map(lambda tensor: tensor.index_select(0, index))
 
     def _slice(self, start: int, end: int) -> Batch:
-        return self._map(lambda tensor: tensor[start:end])
+        return self.map(lambda tensor: tensor[start:end])
 
-    def _map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
+    def map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
+        """Apply a function to every tensor, those of the graph included."""
         tensors = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return Batch(**map_graph(function, tensors))
 

@@ -26,15 +26,18 @@ def collect(policy, env=None, scale=None):
     return rollout, episodes
 
 
-def run_update(policy, rollout, config=CONFIG, algorithm=None):
-    learner = Learner(
+def make_learner(policy, config=CONFIG):
+    return Learner(
         policy=policy,
         optimizer=torch.optim.Adam(policy.parameters(), lr=1e-3),
         value_scale=ValueScale(),
         config=config,
         generator=torch.Generator().manual_seed(0),
     )
-    return (algorithm or make_algorithm(config)).update(learner, rollout)
+
+
+def run_update(policy, rollout, config=CONFIG, algorithm=None):
+    return (algorithm or make_algorithm(config)).update(make_learner(policy, config), rollout)
 
 
 def test_a_rollout_holds_what_the_environment_gave():
