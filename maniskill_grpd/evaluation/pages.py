@@ -88,9 +88,9 @@ def _provenance(data: StudyData) -> str:
         return " ".join([*sentences, "**Not run.**"])
     states = Counter(data.results.state(run) for run in runs)
     sentences.append(f"{states['finished']} runs finished, {states['failed']} failed.")
-    for title, column in (("Device", "device_name"), ("Commit", "commit")):
-        values = sorted({row[column][:12] if column == "commit" else row[column] for row in rows if row.get(column)})
-        sentences.append(f"{title}: {', '.join(values) or 'not recorded'}.")
+    devices = sorted({row.get("device_name") or row.get("device") or "unknown" for row in rows})
+    commits = sorted({row.get("commit", "")[:12] or "unknown" for row in rows})
+    sentences.append(f"Device: {', '.join(devices)}. Commit: {', '.join(commits)}.")
     return " ".join(sentences)
 
 

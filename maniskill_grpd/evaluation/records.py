@@ -48,7 +48,6 @@ def run_row(name: str, run_dir: Path, state: str) -> Row:
         "config": json.dumps(config, sort_keys=True),
         "device": record["device"],
         "device_name": record["device_name"],
-        "platform": record["platform"],
         "python": record["python"],
         "versions": json.dumps(record["versions"], sort_keys=True),
         "commit": git.get("commit", ""),

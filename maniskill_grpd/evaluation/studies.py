@@ -280,7 +280,7 @@ COST = Study(
     plots=("lines",),
     factor="resolution",
     budget=2000,
-    train_options={"num_envs": 8, "num_steps": 50, "num_minibatches": 8, "update_epochs": 1},
+    train_options={"num_envs": 8, "num_steps": 50, "num_minibatches": 8, "update_epochs": 1, "eval_freq": 0},
     claims=(
         _takes("At most 1.2 times the time of EMPN", "III.G", "1.2x", Side("grpd", _SIZES[200].name),
                Side("empn", _SIZES[200].name), 1.2),

@@ -14,6 +14,11 @@ from maniskill_grpd.learning import TrainConfig
 
 Options = Mapping[str, Any]
 
+NUM_EVALUATIONS = 20
+"""Evaluations during a training, the points of its learning curve."""
+NUM_EVAL_EPISODES = 32
+"""Episodes of each of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
@@ -133,29 +138,31 @@ class Run:
         algorithm = _slug(self.arm.algorithm, {**self.train_options, **self.arm.train_options})
         return f"{task}__{policy}__{algorithm}__{self.budget}__s{self.seed}"
 
-    def train_config(self, num_threads: int = 1, **settings: Any) -> TrainConfig:
-        """Return the options of the training.
-
-        Args:
-            num_threads: CPU threads of the simulation.
-            settings: Fields that the study leaves open.
+    def train_config(self) -> TrainConfig:
+        """Return the options of the training: those given, 20 evaluations and checkpoints, one thread.
 
         Raises:
             ValueError: If an option is not known or invalid.
         """
-        return TrainConfig.from_dict(
+        given = {**self.train_options, **self.arm.train_options}
+        config = TrainConfig.from_dict(
             {
-                **settings,
-                **self.train_options,
-                **self.arm.train_options,
+                "exp_name": self.name,
+                "capture_video": False,
+                "num_eval_envs": NUM_EVAL_EPISODES,
                 "env_id": self.task.env_id,
-                "env_kwargs": to_pairs({**self.task.options, "num_threads": num_threads}),
+                "env_kwargs": to_pairs({**self.task.options, "num_threads": 1}),
                 "policy": self.arm.policy,
                 "policy_kwargs": to_pairs(self.arm.policy_options),
                 "algorithm": self.arm.algorithm,
                 "seed": self.seed,
                 "total_timesteps": self.budget,
+                **given,
             }
+        )
+        rhythm = max(1, config.num_iterations // NUM_EVALUATIONS)
+        return dataclasses.replace(
+            config, eval_freq=given.get("eval_freq", rhythm), checkpoint_freq=given.get("checkpoint_freq", rhythm)
         )
 
 
