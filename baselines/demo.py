@@ -33,7 +33,7 @@ class DemoConfig:
     """environment steps to train for"""
     num_episodes: int = 64
     """episodes, on unseen seeds, of the evaluations before and after"""
-    num_videos: int = 3
+    num_videos: int = 4
     """episodes in the video"""
     seed: int = 1
     """seed of the training"""

@@ -50,7 +50,7 @@ class EvalConfig:
     torch_threads: int = 1
     """CPU threads PyTorch uses"""
     video: Path | None = None
-    """also write a video of the first three episodes to this mp4"""
+    """also write a video of the first four episodes, side by side, to this mp4"""
     json: Path | None = None
     """also write the results, per episode, to this file"""
 
@@ -81,7 +81,7 @@ def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
     if config.json is not None:
         write_results(config, task, contents["global_step"], episodes)
     if config.video is not None:
-        print(f"video: {record_video(policy, task, seeds[:3], config.video)}")
+        print(f"video: {record_video(policy, task, seeds[:4], config.video)}")
     return episodes
 
 

@@ -1,7 +1,8 @@
-"""Video of a policy at work."""
+"""Video of a policy at work, several episodes side by side."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,24 +13,30 @@ from run_setup import make_env
 
 from maniskill_grpd.learning import TrainConfig, evaluate_policy
 from maniskill_grpd.policies import Policy
+from maniskill_grpd.tasks.world_pictures import MAX_DRAWN_WORLDS
 
 
 def record_video(
     policy: Policy, config: TrainConfig, seeds: Sequence[int], path: Path, fps: int = 20
 ) -> Path:
-    """Play episodes one after the other and write what the task's camera sees.
+    """Play episodes at the same time and write what the task's camera sees, in a grid as square as possible.
 
     Args:
         policy: Acts with the mean of its distribution.
         config: Names the task.
-        seeds: One per episode.
+        seeds: One per episode, at most 16.
         path: The mp4 to write; where ffmpeg is missing a gif of the same name is written instead.
         fps: Frames per second; 20 is real time.
 
     Returns:
         The file that was written.
+
+    Raises:
+        ValueError: If there are more episodes than an environment draws.
     """
-    env = make_env(config, 1, render_mode="rgb_array")
+    if len(seeds) > MAX_DRAWN_WORLDS:
+        raise ValueError(f"a video shows at most {MAX_DRAWN_WORLDS} episodes, got {len(seeds)} seeds")
+    env = make_env(config, len(seeds), render_mode="rgb_array")
     frames: list[np.ndarray] = []
     evaluate_policy(policy, env, seeds, on_step=lambda: frames.append(_frame(env.render())))
     env.close()
@@ -37,12 +44,16 @@ def record_video(
     return _write(frames, path, fps)
 
 
-def _frame(image: torch.Tensor | np.ndarray) -> np.ndarray:
-    """Return the picture of the first world as uint8 (H, W, 3) with even sides, as codecs want it."""
-    array = torch.as_tensor(image).cpu().numpy()
-    array = array[0] if array.ndim == 4 else array
-    height, width = (side - side % 2 for side in array.shape[:2])
-    return np.ascontiguousarray(array[:height, :width, :3].astype(np.uint8))
+def _frame(images: torch.Tensor) -> np.ndarray:
+    """Return pictures (n, H, W, 3 or 4) in a grid, row by row, as uint8 (height, width, 3) with even sides, as codecs want it."""
+    pictures = images.cpu().numpy()[..., :3].astype(np.uint8)
+    columns = math.ceil(math.sqrt(len(pictures)))
+    rows = math.ceil(len(pictures) / columns)
+    num, height, width, _ = pictures.shape
+    grid = np.full((rows * columns, height, width, 3), 255, dtype=np.uint8)
+    grid[:num] = pictures
+    grid = grid.reshape(rows, columns, height, width, 3).swapaxes(1, 2).reshape(rows * height, columns * width, 3)
+    return np.ascontiguousarray(grid[: len(grid) // 2 * 2, : columns * width // 2 * 2])
 
 
 def _write(frames: list[np.ndarray], path: Path, fps: int) -> Path:

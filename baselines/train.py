@@ -29,7 +29,7 @@ RUNS = Path("runs")
 FIRST_VIDEO_SEED = 2_000_000
 """Videos show seeds that neither training nor evaluation uses."""
 
-NUM_VIDEO_EPISODES = 3
+NUM_VIDEO_EPISODES = 4
 
 
 def train(config: TrainConfig) -> Path:

@@ -10,6 +10,7 @@ CAPSULE = wp.constant(int(ColliderKind.CAPSULE))
 BOX = wp.constant(int(ColliderKind.BOX))
 CYLINDER = wp.constant(int(ColliderKind.CYLINDER))
 PRISM = wp.constant(int(ColliderKind.PRISM))
+MESH = wp.constant(int(ColliderKind.MESH))
 # Evaluations of the signed distance along one motion; conservative advancement of a sphere needs about five.
 SWEEP_STEPS = wp.constant(12)
 # How close to touching a sweep stops, as a fraction of the object's radius.

@@ -6,32 +6,6 @@ by weight * impulse; a held node stays, and the impulse is added to `reactions`,
 
 import warp as wp
 
-# Most sweeps over the gripper pairs, and the relative excess that is left alone: four grippers in a row need about forty.
-LEASH_SWEEPS = wp.constant(64)
-LEASH_TOLERANCE = wp.constant(1.0e-4)
-
-
-@wp.func
-def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_targets: wp.array2d(dtype=wp.vec3)):
-    """Draw grippers together that would pull the object beyond its own length.
-
-    Kinematic grippers have unlimited force and would tear any rope. Each pair that is further apart than its leash moves by half
-    the excess, so targets stay inside their convex hull.
-    """
-    for _sweep in range(LEASH_SWEEPS):
-        num_taut = int(0)
-        for a in range(gripper_targets.shape[1]):
-            for b in range(a):
-                difference = gripper_targets[world, a] - gripper_targets[world, b]
-                distance = wp.length(difference)
-                if distance > leashes[world, a, b] * (1.0 + LEASH_TOLERANCE):
-                    num_taut += 1
-                    correction = difference * (0.5 * (distance - leashes[world, a, b]) / distance)
-                    gripper_targets[world, a] = gripper_targets[world, a] - correction
-                    gripper_targets[world, b] = gripper_targets[world, b] + correction
-        if num_taut == 0:
-            break
-
 
 @wp.func
 def push_node(

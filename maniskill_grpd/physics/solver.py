@@ -12,7 +12,8 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernels import SelfContacts, build_step_kernel
+from maniskill_grpd.physics.kernel_data import SelfContacts
+from maniskill_grpd.physics.kernels import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.self_contact_functions import BLOCK, MAX_CONTACTS_PER_NODE, SLOTS
@@ -49,7 +50,7 @@ class Solver:
         stretch_scale, bend_scale: Factors on the stiffnesses of the model, (B,).
         gripper_positions: (B, A, 3) [m], where the grippers are.
         gripper_targets: (B, A, 3) [m], where they will be after the next step; they move there in a straight line. `step()`
-            draws targets together that are further apart than their leash.
+            draws targets together that are further apart than their leash, and stops them at colliders.
         gripper_forces: Mean force with which the object pulled each gripper in the last step, (B, A, 3) [N]: that of the
             constraints on the held nodes and the weight of these, without their inertia.
         gripper_nodes: Node at which each gripper holds, -1 for none, (B, A) int32.

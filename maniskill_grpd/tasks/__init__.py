@@ -1,7 +1,20 @@
 """Deformable tasks for ManiSkill; importing this package registers them."""
 
+from maniskill_grpd.tasks.cloth_folding import ClothFoldingEnv
+from maniskill_grpd.tasks.cloth_hanging import ClothHangingEnv
+from maniskill_grpd.tasks.cloth_shapes import CLOTH_SHAPES
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.goal_shapes import GOAL_SHAPES, goal_curve
 from maniskill_grpd.tasks.rope_shaping import RopeShapingEnv
+from maniskill_grpd.tasks.rope_wrapping import RopeWrappingEnv
 
-__all__ = ["GOAL_SHAPES", "DeformableEnv", "RopeShapingEnv", "goal_curve"]
+__all__ = [
+    "CLOTH_SHAPES",
+    "GOAL_SHAPES",
+    "ClothFoldingEnv",
+    "ClothHangingEnv",
+    "DeformableEnv",
+    "RopeShapingEnv",
+    "RopeWrappingEnv",
+    "goal_curve",
+]

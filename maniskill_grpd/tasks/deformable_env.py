@@ -67,7 +67,7 @@ class DeformableEnv(WorldPictures):
             SAPIEN can draw, or any of them joined as in "state+graph" and "graph+rgb".
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
         render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
-            `render_mode="rgb_array"` draws simple pictures with matplotlib.
+            `render_mode="rgb_array"` draws with numpy.
         num_grippers: Number of grippers A, one of `GRIPPER_COUNTS`.
         robot_uids: "floating_grippers_<A>", which drives all of them (default), or a tuple of
             agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions

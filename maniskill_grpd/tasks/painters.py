@@ -24,15 +24,15 @@ class Painter(Protocol):
 
 
 def choose_painter(env: WorldPictures) -> Painter | None:
-    """Return the painter for an environment: SAPIEN where it can draw, else matplotlib, or None."""
+    """Return the painter for an environment: SAPIEN where it can draw, else numpy, or None."""
     if env.scene.can_render():
         from maniskill_grpd.tasks.sapien_painter import SapienPainter
 
         return SapienPainter(env.scene)
     if env.render_mode == "rgb_array":
-        from maniskill_grpd.tasks.matplotlib_painter import MatplotlibPainter
+        from maniskill_grpd.tasks.numpy_painter import NumpyPainter
 
         configs = parse_camera_configs(env._default_human_render_camera_configs)
         update_camera_configs_from_dict(configs, env._custom_human_render_camera_configs or {})
-        return MatplotlibPainter(next(iter(configs.values())))
+        return NumpyPainter(next(iter(configs.values())))
     return None

@@ -64,7 +64,7 @@ def choose_render_device(
         )
     if device is None and requested not in ("auto", "none", None):
         logger.warning(
-            f"render_backend {requested!r} cannot draw here; pictures come from matplotlib"
+            f"render_backend {requested!r} cannot draw here; numpy draws the pictures"
         )
     return device
 

@@ -4,106 +4,128 @@ from __future__ import annotations
 
 import numpy as np
 import sapien
-from mani_skill.utils.building.actor_builder import ActorBuilder
+import trimesh
 
+from maniskill_grpd.tasks import palette
 from maniskill_grpd.tasks.batched_scene import BatchedScene
-from maniskill_grpd.tasks.drawing import Drawing
+from maniskill_grpd.tasks.drawing import Drawing, Sheet, Solid
+from maniskill_grpd.tasks.surfaces import (
+    Surface,
+    ghost_surface,
+    gripper_surfaces,
+    mark_surface,
+    shadow_surface,
+    solid_surface,
+    surface_of,
+    table_lines,
+    table_top,
+    turned_over,
+)
 
-TABLE_HALF_SIZE = (0.8, 0.8, 0.02)
-TABLE_COLOR = (0.62, 0.60, 0.56, 1.0)
-ROPE_COLOR = (0.85, 0.38, 0.10, 1.0)
-GRIPPER_COLOR = (0.12, 0.25, 0.65, 1.0)
-GOAL_COLOR = (0.15, 0.40, 0.95, 0.45)
-SOLVED_COLOR = (0.10, 0.75, 0.25, 0.60)
-GRIPPER_SIZE = 1.8
-"""Radius of the gripper balls in radii of the rope."""
-GOAL_THICKNESS = 1.4
-"""Radius of the goal in radii of the rope: it can be seen around a rope that lies in it."""
-OUT_OF_SIGHT = np.array([0.0, 0.0, -50.0])
-"""Where the goal is put when it is not to be seen [m]."""
+ROOM_SIZE = 8.0
+"""Side of the bright cube around everything, for pictures that are not observations [m]."""
+SIDE_DISTANCE = 0.001
+"""Distance of the two sides of a sheet [m]."""
+GHOST_ALPHA = 0.45
 
 
 class SapienPainter:
-    """Mirrors one world on the SAPIEN stage of a scene.
+    """Mirrors one world on the SAPIEN stage of a scene, in meshes that are built anew for each world shown. Table at z = 0.
 
-    Rope and goal are chains of capsules, the goal translucent; grippers are balls; table at z = 0.
+    Shadows are meshes on the table, as SAPIEN would have ghosts cast them too.
     """
 
     def __init__(self, scene: BatchedScene) -> None:
-        """Build everything for a scene that can render; `show` moves it into place."""
-        self._scene = scene
-        model, num_grippers = scene.solver.model, scene.solver.num_grippers
-        num_nodes, radius = model.num_nodes, model.radius
-        half_length = float(model.rest_lengths.mean()) / 2.0
-        rope, grippers = _material(ROPE_COLOR), _material(GRIPPER_COLOR)
-        self._goal_material = _material(GOAL_COLOR)
-        self._build_table()
-        self._rope = self._build("rope", num_nodes - 1, radius, half_length, rope)
-        goal_radius = GOAL_THICKNESS * radius
-        self._goal = self._build(
-            "goal", num_nodes - 1, goal_radius, half_length, self._goal_material
-        )
-        self._grippers = self._build("gripper", num_grippers, GRIPPER_SIZE * radius, 0.0, grippers)
+        """Build the surroundings for a scene that can render; `show` builds the rest."""
+        self._stage = scene.sub_scenes[0]
+        self._table = _entity("table", [_shape(table_top(), palette.TABLE), _shape(table_lines(), palette.TABLE_LINES)])
+        self._room = _entity("room", [_room_shape()])
+        self._shown: list[sapien.Entity] = []
 
     def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
-        """Move everything to where it is in a world; without the goal for what policies see."""
-        _lay_chain(self._rope, drawing.object.points)
-        _lay_chain(self._goal, drawing.goal.points + OUT_OF_SIGHT * hide_goal)
-        for entity, position in zip(self._grippers, drawing.grippers, strict=True):
-            entity.pose = sapien.Pose(position)
-        self._goal_material.base_color = list(SOLVED_COLOR if drawing.is_solved else GOAL_COLOR)
-
-    def _build_table(self) -> None:
-        builder = self._scene.create_actor_builder()
-        builder.add_box_visual(half_size=list(TABLE_HALF_SIZE), material=_material(TABLE_COLOR))
-        self._finish(builder, "table", sapien.Pose([0.0, 0.0, -TABLE_HALF_SIZE[2]]))
-
-    def _build(
-        self,
-        name: str,
-        num: int,
-        radius: float,
-        half_length: float,
-        material: sapien.render.RenderMaterial,
-    ) -> list[sapien.Entity]:
-        """Build capsules along their x-axis, or balls where `half_length` is 0."""
-        entities = []
-        for index in range(num):
-            builder = self._scene.create_actor_builder()
-            if half_length > 0.0:
-                builder.add_capsule_visual(
-                    radius=radius, half_length=half_length, material=material
-                )
-            else:
-                builder.add_sphere_visual(radius=radius, material=material)
-            entities.append(self._finish(builder, f"{name}_{index}", sapien.Pose()))
-        return entities
-
-    def _finish(self, builder: ActorBuilder, name: str, pose: sapien.Pose) -> sapien.Entity:
-        builder.initial_pose = pose
-        actor = builder.build_kinematic(name=name)
-        # The stage is a mirror: it is no part of the state, and has a single copy for all worlds.
-        self._scene.remove_from_state_dict_registry(actor)
-        return actor._objs[0]
+        """Replace what is on the stage by a world; without goal and room for what policies see."""
+        for entity in self._shown:
+            self._stage.remove_entity(entity)
+        parts = _opaque_parts(drawing)
+        self._shown = [_entity(name, [_shape(*side) for side in sides]) for name, sides in parts.items() if sides]
+        if drawing.has_table:
+            shadows = [_shadow_shape(surface) for sides in parts.values() for surface, _ in sides]
+            self._shown += [self._table, _entity("shadows", shadows)]
+        if not hide_goal:
+            self._shown += [self._room, _entity("goal", _goal_shapes(drawing))]
+        for entity in self._shown:
+            self._stage.add_entity(entity)
 
 
-def _lay_chain(capsules: list[sapien.Entity], nodes: np.ndarray) -> None:
-    """Lay capsules between consecutive nodes (N, 3)."""
-    middles = (nodes[1:] + nodes[:-1]) / 2.0
-    for capsule, middle, rotation in zip(
-        capsules, middles, _rotations(np.diff(nodes, axis=0)), strict=True
-    ):
-        capsule.pose = sapien.Pose(middle, rotation)
+Side = tuple[Surface, palette.Color]
 
 
-def _rotations(directions: np.ndarray) -> np.ndarray:
-    """Return the quaternions (w, x, y, z) that turn the x-axis into given directions, (n, 4)."""
-    unit = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
-    # Half a turn about the middle of x-axis and direction; opposite to x any normal will do.
-    quaternions = np.stack([1.0 + unit[:, 0], 0.0 * unit[:, 0], -unit[:, 2], unit[:, 1]], axis=1)
-    quaternions[unit[:, 0] < -1.0 + 1e-6] = (0.0, 0.0, 0.0, 1.0)
-    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+def _opaque_parts(drawing: Drawing) -> dict[str, list[Side]]:
+    """Return surfaces of which the front is shown, and their colours, by what they belong to."""
+    body, solids = surface_of(drawing.object), map(surface_of, drawing.solids)
+    colors = [palette.CLOSED_GRIPPER if is_closed else palette.OPEN_GRIPPER for is_closed in drawing.closed]
+    return {
+        "object": _sheet_sides(body) if isinstance(drawing.object, Sheet) else [(body, palette.FRONT)],
+        "obstacles": [(solid, palette.SOLID) for solid in solids],
+        "grippers": list(zip(gripper_surfaces(drawing), colors, strict=True)),
+    }
 
 
-def _material(color: tuple[float, float, float, float]) -> sapien.render.RenderMaterial:
-    return sapien.render.RenderMaterial(base_color=list(color), roughness=0.6, specular=0.3)
+def _sheet_sides(sheet: Surface) -> list[Side]:
+    """Return the two sides of a sheet, a hair apart."""
+    offset = SIDE_DISTANCE / 2.0 * sheet.normals
+    return [(sheet.moved(offset), palette.FRONT), (turned_over(sheet.moved(-offset)), palette.BACK)]
+
+
+def _goal_shapes(drawing: Drawing) -> list[sapien.render.RenderShape]:
+    color = palette.SOLVED if drawing.is_solved else palette.GOAL
+    marks = mark_surface(drawing)
+    shapes = [_shape(marks, color)] if len(marks.faces) else []
+    if drawing.goal is not None:
+        shapes.append(_shape(ghost_surface(drawing.goal), color, GHOST_ALPHA))
+    return shapes
+
+
+def _shadow_shape(surface: Surface) -> sapien.render.RenderShape:
+    """Return the shadow of a surface, lit from above whichever way its triangles face."""
+    shadow = shadow_surface(surface)
+    corners = shadow.vertices[shadow.faces]
+    is_down = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] < 0.0
+    faces = np.where(is_down[:, None], shadow.faces[:, ::-1], shadow.faces)
+    color = tuple((1.0 - palette.SHADOW_DARKNESS) * np.array(palette.TABLE))
+    return _shape(Surface(shadow.vertices, faces, shadow.normals), color)
+
+
+def _room_shape() -> sapien.render.RenderShape:
+    """Return the inside of a cube that shines by itself."""
+    cube = trimesh.creation.box(extents=[ROOM_SIZE] * 3)
+    shape = _shape(turned_over(solid_surface(Solid(cube.vertices, cube.faces))), (0.0, 0.0, 0.0))
+    shape.parts[0].material.emission = [*_linear(palette.BACKGROUND), 1.0]
+    return shape
+
+
+def _entity(name: str, shapes: list[sapien.render.RenderShape]) -> sapien.Entity:
+    body = sapien.render.RenderBodyComponent()
+    for shape in shapes:
+        body.attach(shape)
+    entity = sapien.Entity()
+    entity.name = name
+    entity.add_component(body)
+    return entity
+
+
+def _shape(surface: Surface, color: palette.Color, alpha: float = 1.0) -> sapien.render.RenderShape:
+    material = sapien.render.RenderMaterial(base_color=[*_linear(color), alpha], roughness=0.6, specular=0.3)
+    vertices = surface.vertices.astype(np.float32)
+    return sapien.render.RenderShapeTriangleMesh(
+        vertices,
+        surface.faces.astype(np.uint32),
+        surface.normals.astype(np.float32),
+        np.zeros((len(vertices), 2), dtype=np.float32),
+        material,
+    )
+
+
+def _linear(color: palette.Color) -> np.ndarray:
+    """Return the light of an sRGB colour."""
+    return np.asarray(color) ** 2.2

@@ -12,10 +12,15 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
+from maniskill_grpd.tasks import palette
 from maniskill_grpd.tasks.batched_scene import BatchedScene
 from maniskill_grpd.tasks.drawing import Drawing
 from maniskill_grpd.tasks.painters import Painter
 
+FRAME_WIDTH = 0.015
+"""Width of the frames of solved worlds in heights of a picture."""
+AMBIENT_LIGHT, DIRECT_LIGHT = 0.35, 2.0
+"""Strengths of SAPIEN's lights."""
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
@@ -23,9 +28,14 @@ MAX_DRAWN_WORLDS = 16
 class WorldPictures(BaseEnv):
     """The part of an environment that takes pictures.
 
-    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, matplotlib
+    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, numpy
     draws what `render_mode="rgb_array"` returns.
     """
+
+    CAMERA_POSITION = (0.0, -0.7, 1.15)
+    """Where the cameras stand [m]; by default above the near edge of the table, to see all of it that matters."""
+    CAMERA_TARGET = (0.0, -0.05, 0.0)
+    """Where they look [m]."""
 
     scene: BatchedScene
     _painter: Painter
@@ -44,10 +54,8 @@ class WorldPictures(BaseEnv):
     def _default_human_render_camera_configs(self) -> CameraConfig:
         return self._camera("render_camera", 512, "default")
 
-    @staticmethod
-    def _camera(uid: str, size: int, shader_pack: str) -> CameraConfig:
-        """Return a camera above the near edge of the table that sees all of the workspace."""
-        pose = sapien_utils.look_at(eye=[0.0, -0.7, 1.15], target=[0.0, -0.05, 0.0])
+    def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
+        pose = sapien_utils.look_at(eye=list(self.CAMERA_POSITION), target=list(self.CAMERA_TARGET))
         return CameraConfig(
             uid,
             pose=pose,
@@ -59,11 +67,14 @@ class WorldPictures(BaseEnv):
             shader_pack=shader_pack,
         )
 
+    def _load_lighting(self, options: dict) -> None:
+        self.scene.set_ambient_light([AMBIENT_LIGHT] * 3)
+        self.scene.add_directional_light(-palette.LIGHT_DIRECTION, [DIRECT_LIGHT] * 3)
+
     def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
-        """Return one image per world, (min(B, 16), H, W, 3) uint8."""
-        if self.scene.can_render():
-            return self._picture_worlds(partial(super().render_rgb_array, camera_name))
-        return self._picture_worlds(self._painter.picture)
+        """Return one image per world, (min(B, 16), H, W, 3) uint8; those of solved worlds have a green frame."""
+        take_picture = partial(super().render_rgb_array, camera_name) if self.scene.can_render() else self._painter.picture
+        return self._picture_worlds(take_picture, has_frames=True)
 
     def render_sensors(self) -> torch.Tensor:
         """Return what the cameras of each world see, side by side."""
@@ -100,15 +111,26 @@ class WorldPictures(BaseEnv):
             for camera, textures in images[0].items()
         }
 
-    def _picture_worlds(self, take_picture: Callable[[], torch.Tensor]) -> torch.Tensor:
+    def _picture_worlds(self, take_picture: Callable[[], torch.Tensor], *, has_frames: bool = False) -> torch.Tensor:
         """Take a picture (1, H, W, 3) or (H, W, 3) of each world, and stack them."""
         pictures = []
         try:
             for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
                 self._drawn_worlds = range(world, world + 1)
-                self._painter.show(self._drawing(world))
+                drawing = self._drawing(world)
+                self._painter.show(drawing)
                 picture = take_picture()
-                pictures.append(picture if picture.ndim == 4 else picture[None])
+                picture = picture if picture.ndim == 4 else picture[None]
+                pictures.append(_framed(picture) if has_frames and drawing.is_solved else picture)
         finally:
             self._drawn_worlds = range(self.num_envs)
         return torch.cat(pictures)
+
+
+def _framed(pictures: torch.Tensor) -> torch.Tensor:
+    """Return pictures (n, H, W, 3) uint8 with a frame in the colour of success."""
+    color = torch.tensor(palette.SOLVED, device=pictures.device).mul(255.0).round().to(torch.uint8)
+    width = max(round(FRAME_WIDTH * pictures.shape[1]), 1)
+    framed = color.expand_as(pictures).clone()
+    framed[:, width:-width, width:-width] = pictures[:, width:-width, width:-width]
+    return framed

@@ -158,6 +158,13 @@ def test_frames_are_made_fit_for_codecs():
     assert frame.dtype == np.uint8
 
 
+def test_episodes_are_shown_side_by_side():
+    pictures = torch.arange(3, dtype=torch.uint8)[:, None, None, None].expand(3, 4, 6, 3)
+    grid = record_video._frame(pictures)
+    assert grid.shape == (8, 12, 3)
+    assert [grid[row, column, 0] for row in (0, 7) for column in (0, 11)] == [0, 1, 2, 255]
+
+
 def test_video_falls_back_to_gif_without_ffmpeg(tmp_path, monkeypatch):
     def fail():
         raise RuntimeError("no ffmpeg")

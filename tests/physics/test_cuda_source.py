@@ -5,7 +5,8 @@ import sys
 import pytest
 import warp as wp
 
-from maniskill_grpd.physics.kernels import Features, build_step_kernel
+from maniskill_grpd.physics.kernel_data import Features
+from maniskill_grpd.physics.kernels import build_step_kernel
 
 EVERYTHING = Features(bends=True, hinges=True, tethers=True, colliders=True, self_contact=True)
 

@@ -43,34 +43,6 @@ def test_is_registered():
     env.close()
 
 
-@pytest.mark.parametrize("num_envs", [1, 3])
-@pytest.mark.parametrize(
-    "obs_mode", ["graph", "state", "state_dict", "none", "state+graph", "state_dict+graph"]
-)
-def test_observations_and_actions_lie_in_their_spaces(make_env, num_envs, obs_mode):
-    env = make_env(num_envs, obs_mode=obs_mode)
-    obs, _ = env.reset(seed=0)
-    assert env.unwrapped.obs_mode == obs_mode
-    assert env.observation_space.contains(common.to_numpy(obs))
-    action = env.action_space.sample()
-    assert action.shape == ((12,) if num_envs == 1 else (num_envs, 12))
-    obs, reward, terminated, truncated, _ = env.step(action)
-    assert env.observation_space.contains(common.to_numpy(obs))
-    assert reward.shape == terminated.shape == truncated.shape == (num_envs,)
-    names = set(obs) if isinstance(obs, dict) else "flat"
-    assert (
-        names
-        == {
-            "graph": {"graph"},
-            "state": "flat",
-            "state_dict": {"agent", "extra"},
-            "none": set(),
-            "state+graph": {"state", "graph"},
-            "state_dict+graph": {"agent", "extra", "graph"},
-        }[obs_mode]
-    )
-
-
 def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
     env = make_env(obs_mode="graph")
     base = env.unwrapped
@@ -154,25 +126,6 @@ def test_damaging_an_observation_does_not_damage_the_worlds(make_env, draw_actio
 # ---------------------------------------------------------------- seeds and resets
 
 
-def test_an_episode_depends_on_its_own_seed_alone(make_env, draw_actions):
-    """Same seed, other batch size and place in it: the same two episodes, bitwise."""
-    single, batch = make_env(1), make_env(4)
-    obs, _ = single.reset(seed=[11])
-    batch_obs, _ = batch.reset(seed=[7, 8, 11, 9])
-    assert_equal(batch_obs, obs, [2], [0])
-    for episode in range(2):
-        for action in draw_actions(3, 1, seed=episode):
-            obs, reward, *_ = single.step(action)
-            others = draw_actions(1, 4, seed=9)[0]
-            others[2] = action[0]
-            batch_obs, batch_reward, *_ = batch.step(others)
-            assert_equal(batch_obs, obs, [2], [0])
-            assert torch.equal(batch_reward[[2]], reward)
-        obs, _ = single.reset()
-        batch_obs, _ = batch.reset(options={"env_idx": torch.tensor([2])})
-        assert_equal(batch_obs, obs, [2], [0])
-
-
 def test_one_number_seeds_all_worlds_reproducibly(make_env):
     env, other = make_env(), make_env()
     obs, _ = env.reset(seed=4)
@@ -182,21 +135,6 @@ def test_one_number_seeds_all_worlds_reproducibly(make_env):
     assert (goals[0] != goals[1]).any()
     different, _ = env.reset(seed=5)
     assert (different["graph"]["object"]["position"] != obs["graph"]["object"]["position"]).any()
-
-
-def test_resetting_some_worlds_leaves_the_others_bitwise_unchanged(make_env, draw_actions):
-    env, control = make_env(), make_env()
-    for each in (env, control):
-        each.reset(seed=[1, 2, 3])
-        run(each, draw_actions(3, 3))
-    before = env.unwrapped.get_state_dict()
-    env.reset(options={"env_idx": torch.tensor([1])})
-    after = env.unwrapped.get_state_dict()
-    assert_equal(after, before, [0, 2], [0, 2])
-    assert (after["solver"]["positions"][1] != before["solver"]["positions"][1]).any()
-    assert env.unwrapped.elapsed_steps.tolist() == [3, 0, 3]
-    run(env, draw_actions(3, 3, seed=1)), run(control, draw_actions(3, 3, seed=1))
-    assert_equal(env.unwrapped.get_state_dict(), control.unwrapped.get_state_dict(), [0, 2], [0, 2])
 
 
 def test_seeding_some_worlds_leaves_the_next_episodes_of_the_others_unchanged(make_env):
@@ -315,26 +253,6 @@ def test_states_of_another_environment_are_refused(make_env):
 
 
 # ---------------------------------------------------------------- failures and bad inputs
-
-
-def test_a_diverged_world_fails_without_touching_the_others(make_env, draw_actions):
-    env, control = make_env(), make_env()
-    actions = draw_actions(3, 3)
-    for each in (env, control):
-        each.reset(seed=0)
-        each.step(actions[0])
-    env.unwrapped.solver.velocities[1, 5] = 1e30
-    for action in actions[1:]:
-        obs, reward, terminated, _, info = env.step(action)
-        healthy = control.step(action)
-    assert info["fail"].tolist() == [False, True, False]
-    assert terminated.tolist() == [False, True, False]
-    assert reward[1] == 0
-    assert all(torch.isfinite(value.float()).all() for _, value in leaves(obs))
-    assert_equal(obs, healthy[0], [0, 2], [0, 2])
-    obs, info = env.reset(options={"env_idx": torch.tensor([1])})
-    assert not info["fail"].any()
-    assert not env.step(actions[0])[4]["fail"].any()
 
 
 def test_sparse_rewards_follow_success_and_failure(make_env):

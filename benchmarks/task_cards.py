@@ -1,0 +1,112 @@
+"""Write docs/tasks.md: the task cards, from the docstrings of the tasks, and what was measured in them.
+
+python benchmarks/task_cards.py [--json docs/benchmarks/tasks.json] [--page docs/tasks.md]
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+from pathlib import Path
+from typing import Any
+
+from mani_skill.utils.registration import REGISTERED_ENVS
+
+import maniskill_grpd  # noqa: F401  (registers the tasks)
+from maniskill_grpd.tasks import DeformableEnv
+
+COMMAND = "python benchmarks/tasks.py --json docs/benchmarks/tasks.json --page docs/tasks.md"
+POLICIES = ("random", "still", "push", "expert")
+
+
+def write_page(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Write the page.
+
+    Args:
+        path: The page.
+        rows: What `benchmarks/tasks.py` measured.
+    """
+    cards = [card(uid) for uid, spec in sorted(REGISTERED_ENVS.items()) if issubclass(spec.cls, DeformableEnv)]
+    parts = ["# Tasks", tables(rows), *cards]
+    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+def card(uid: str) -> str:
+    """Return the card of a task in the form of ManiSkill's documentation."""
+    spec = REGISTERED_ENVS[uid]
+    task = spec.cls
+    facts = [
+        f"- gripper counts: {', '.join(map(str, task.GRIPPER_COUNTS))} (default {task.DEFAULT_NUM_GRIPPERS})",
+        f"- reward modes: {', '.join(task.SUPPORTED_REWARD_MODES)}",
+        f"- max episode steps: {spec.max_episode_steps}",
+    ]
+    stem = uid.partition("-")[0]
+    picture = f"![{uid}: the expert](images/{stem}.gif)"
+    options = inspect.getdoc(task.__init__).partition("Args:")[2].partition("Raises:")[0]
+    lines = [" ".join(line.split()) if not line.startswith("    ") else line.strip() for line in options.strip().splitlines()]
+    return "\n\n".join([
+        f"## {uid}", picture, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines),
+    ])  # fmt: skip
+
+
+def tables(rows: list[dict[str, Any]]) -> str:
+    """Return the tables of success, return and speed."""
+    played = [row for row in rows if "policy" in row]
+    timed = [row for row in rows if "env_steps_per_s" in row]
+    machine = rows[0]["machine"]
+    lines = [
+        f"Success at the end, and return, of {played[0]['num_episodes']} episodes on seeds that nothing was tuned on.",
+        "Blind policies do not look: random actions, no motion, one random direction at full speed.",
+        "",
+        "| task | " + " | ".join(POLICIES) + " |",
+        "|---|" + "--:|" * len(POLICIES),
+    ]
+    for name, row_of in _by_configuration(played).items():
+        cells = [f"{row_of[p]['success_at_end']:.0%} ({row_of[p]['return']:.1f})" for p in POLICIES]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    lines += [
+        "",
+        f"Speed with {timed[0]['num_worlds']} worlds, graph observations and random actions on the CPU "
+        f"({machine['cpu']}, {machine['cores']} cores, load {machine['load']}):",
+        "",
+        f"| task | env-steps/s (median) | min - max | relative to {timed[0]['peer']} |",
+        "|---|--:|--:|--:|",
+    ]
+    for row in timed:
+        spread = f"{row['min']:,.0f} - {row['max']:,.0f}"
+        lines.append(f"| {row['env']} | {row['env_steps_per_s']:,.0f} | {spread} | {row['ratio']:.2f} |")
+    return "\n".join([*lines, "", f"`{COMMAND}`"])
+
+
+def _by_configuration(rows: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        options = ", ".join(f"{key}={value!r}" for key, value in row["options"].items())
+        found.setdefault(f"{row['env']}" + (f", `{options}`" if options else ""), {})[row["policy"]] = row
+    return found
+
+
+def _bullets(lines: list[str]) -> str:
+    """Return the entries of a Google-style section as a list; continued lines are joined."""
+    entries: list[str] = []
+    for line in lines:
+        name = line.split(":")[0]
+        if name.isidentifier() and ":" in line:
+            entries.append(f"- `{name}`:{line.partition(':')[2]}")
+        else:
+            entries[-1] += f" {line}"
+    return "\n".join(entries)
+
+
+def main() -> None:
+    """Parse the command line and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, default=Path("docs/benchmarks/tasks.json"), help="rows of benchmarks/tasks.py")
+    parser.add_argument("--page", type=Path, default=Path("docs/tasks.md"), help="page to write")
+    arguments = parser.parse_args()
+    write_page(arguments.page, json.loads(arguments.json.read_text(encoding="utf-8")))
+
+
+if __name__ == "__main__":
+    main()

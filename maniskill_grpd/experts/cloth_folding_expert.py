@@ -1,0 +1,71 @@
+"""Expert of ClothFolding-v1."""
+
+from __future__ import annotations
+
+import torch
+
+from maniskill_grpd.agents.floating_grippers import STEP_SIZE
+from maniskill_grpd.experts.expert import Expert
+from maniskill_grpd.tasks import ClothFoldingEnv
+
+SLACK = (0.2, 0.7)
+"""How far the path departs from the circle towards the diamond at its start and at its end."""
+
+
+class ClothFoldingExpert(Expert):
+    r"""Carries the extreme points of the moving half over the crease, and lays the cloth down behind them.
+
+    In the plane through gripper v across the crease, with x its distance beyond the crease and z its height above its goal's
+    level, the path is
+
+        (x, z) = d_v rho(a) (cos a, sin a),   rho(a) = 1 - s + s / (|cos a| + |sin a|),   s = 0.35 (1 - cos a)
+
+    from the angle a = 0, where the gripper starts, at the distance d_v from the crease, to a = pi, its goal. With s = 0 it is a
+    circle, on which the cloth stays taut and pulls the resting half along in the second quarter; with s = 1 it is a diamond, on
+    which the cloth hangs straight down from the gripper and is laid down where it is (van den Berg et al. 2010, Gravity-based
+    robotic cloth folding, doi:10.1007/978-3-642-17452-0_24). Going up steeply first keeps a stiff cloth from being pushed.
+
+    The angle is read from the present state, the mean over the grippers so that they move in step, and the target is the point
+    of the path as far ahead as the outermost gripper gets in one step. At pi it stays: the gripper holds the fold.
+
+    Symmetry: equivariant under rigid motions of the scene with its table.
+    """
+
+    task = ClothFoldingEnv
+
+    def act(self) -> torch.Tensor:
+        """See `Expert.act`."""
+        env = self.env
+        held = env.start_nodes[..., None].expand(-1, -1, 3)
+        goals = env.goal_positions.gather(1, held)
+        normal, up = env.crease_normal[:, None], env.solver.plane[:, None, :3]
+        # The goal of what is held lies at -d along the normal, seen from the foot of its path on the crease.
+        distance = ((env.crease_ends[:, :1] - goals) * normal).sum(-1, keepdim=True)
+        foot = goals + distance * normal
+        offset = env.solver.gripper_positions - foot
+        angle = _angles(offset, normal, up).mean(dim=1, keepdim=True)
+        ahead = (angle + STEP_SIZE / distance.amax(dim=1, keepdim=True)).clamp(max=torch.pi)
+        radius = distance * _path_radius(ahead)
+        target = radius * (ahead.cos() * normal + ahead.sin() * up)
+        motion = (target - offset) / STEP_SIZE
+        motion = motion / torch.linalg.vector_norm(motion, dim=-1, keepdim=True).clamp(min=1.0)
+        return self._with_closed_grippers(motion)
+
+    def _with_closed_grippers(self, motion: torch.Tensor) -> torch.Tensor:
+        """Return actions (B, A * 3), or (B, A * 4) where they also close the grippers, from motions (B, A, 3)."""
+        if self.env.grasp == "free":
+            motion = torch.nn.functional.pad(motion, (0, 1), value=1.0)
+        return motion.flatten(1)
+
+
+def _angles(offset: torch.Tensor, normal: torch.Tensor, up: torch.Tensor) -> torch.Tensor:
+    """Return the angles about the crease, 0 beyond it to pi on the other side, of offsets (B, A, 3) from it, (B, A, 1)."""
+    along, height = (offset * normal).sum(-1, keepdim=True), (offset * up).sum(-1, keepdim=True)
+    return torch.atan2(height.clamp(min=0.0), along)
+
+
+def _path_radius(angle: torch.Tensor) -> torch.Tensor:
+    """Return the distance of the path from the crease, as a share of that of its ends, by the angle [rad]."""
+    start, end = SLACK
+    slack = start + (end - start) * 0.5 * (1.0 - angle.cos())
+    return 1.0 - slack + slack / (angle.cos().abs() + angle.sin().abs())

@@ -1,0 +1,159 @@
+"""How far grippers get in a control step: leashes hold them together, colliders stop them. Called once by the fused kernel."""
+
+import warp as wp
+
+from maniskill_grpd.physics.collider_functions import MESH, signed_distance
+from maniskill_grpd.physics.kernel_data import Obstacles
+
+# A world is frozen when a coordinate is not finite or has left this range [m]: past it float32 cannot hold millimetres.
+POSITION_LIMIT = wp.constant(1.0e4)
+# Most sweeps over the gripper pairs, and the relative excess that is left alone: four grippers in a row need about forty.
+LEASH_SWEEPS = wp.constant(64)
+LEASH_TOLERANCE = wp.constant(1.0e-4)
+# Most rounds of drawing grippers together and stopping them again; each halves what is left of an excess.
+STOP_ROUNDS = wp.constant(24)
+# Surfaces along which a stopped gripper slides on within one control step.
+SLIDES = wp.constant(4)
+# Evaluations of the distance along one straight motion. Newton's method needs about five for a convex collider.
+MARCH_STEPS = wp.constant(64)
+# A gripper has arrived at a surface when it is this fraction of its margin away from touching; the least step past a mesh.
+ARRIVAL, LEAST_STEP = wp.constant(0.02), wp.constant(0.1)
+
+
+@wp.func
+def is_valid(p: wp.vec3) -> bool:
+    """True when all coordinates are finite and within range."""
+    return wp.abs(p[0]) < POSITION_LIMIT and wp.abs(p[1]) < POSITION_LIMIT and wp.abs(p[2]) < POSITION_LIMIT
+
+
+@wp.func
+def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_targets: wp.array2d(dtype=wp.vec3)) -> bool:
+    """Draw grippers together that would pull the object beyond its own length; return whether any were.
+
+    Kinematic grippers have unlimited force and would tear any rope. Each pair that is further apart than its leash moves by half
+    the excess, so targets stay inside their convex hull.
+    """
+    drawn = bool(False)
+    for _sweep in range(LEASH_SWEEPS):
+        num_taut = int(0)
+        for a in range(gripper_targets.shape[1]):
+            for b in range(a):
+                difference = gripper_targets[world, a] - gripper_targets[world, b]
+                distance = wp.length(difference)
+                if distance > leashes[world, a, b] * (1.0 + LEASH_TOLERANCE):
+                    num_taut += 1
+                    correction = difference * (0.5 * (distance - leashes[world, a, b]) / distance)
+                    gripper_targets[world, a] = gripper_targets[world, a] - correction
+                    gripper_targets[world, b] = gripper_targets[world, b] + correction
+        if num_taut == 0:
+            break
+        drawn = True
+    return drawn
+
+
+@wp.func
+def obstacle_distance(world: int, k: int, point: wp.vec3, obstacles: Obstacles) -> wp.vec4:
+    """Return (outward normal, signed distance) of a collider at a point of its world."""
+    wxyz = obstacles.rotations[world, k]
+    rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
+    local = wp.quat_rotate_inv(rotation, point - obstacles.positions[world, k])
+    at = signed_distance(
+        local, k, obstacles.kinds[k], obstacles.sizes[world, k],
+        obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
+    )  # fmt: skip
+    normal = wp.quat_rotate(rotation, wp.vec3(at[0], at[1], at[2]))
+    return wp.vec4(normal[0], normal[1], normal[2], at[3])
+
+
+@wp.func
+def march(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles: Obstacles) -> wp.vec4:
+    """Return the normal of the first surface that a point meets on a straight way, and the fraction of the way until there.
+
+    Along a line the distance to a convex collider is a convex function of the fraction: its tangent lies below it, so a Newton
+    step cannot pass the surface, and where it grows the collider lies behind. To a mesh steps of the distance are taken.
+    """
+    travel = wp.length(motion)
+    progress = float(0.0)
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    arrived = travel == 0.0
+    for _step in range(MARCH_STEPS):
+        if progress >= 1.0 or arrived:
+            break
+        free = 1.0 - progress
+        for k in range(obstacles.kinds.shape[0]):
+            if obstacles.active[world, k]:
+                at = obstacle_distance(world, k, start + motion * progress, obstacles)
+                outward = wp.vec3(at[0], at[1], at[2])
+                approach = -wp.dot(outward, motion)
+                gap = at[3] - margin
+                if approach > 0.0 and gap <= ARRIVAL * margin:
+                    arrived = True
+                    normal = outward
+                elif obstacles.kinds[k] == MESH:
+                    free = wp.min(free, wp.max(gap, LEAST_STEP * margin) / travel)
+                elif approach > 0.0:
+                    free = wp.min(free, gap / approach)
+        if not arrived:
+            progress += free
+    if travel == 0.0:
+        progress = 1.0
+    return wp.vec4(normal[0], normal[1], normal[2], wp.min(progress, 1.0))
+
+
+@wp.func
+def stop_motion(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles: Obstacles) -> wp.vec3:
+    """Return how far a point gets that stops at colliders and slides along them without friction.
+
+    The way there is straight in the end, as that of a held node is within a control step.
+    """
+    moved = wp.vec3(0.0, 0.0, 0.0)
+    rest = motion
+    for _slide in range(SLIDES):
+        met = march(world, start + moved, rest, margin, obstacles)
+        moved += rest * met[3]
+        if met[3] >= 1.0:
+            break
+        rest *= 1.0 - met[3]
+        normal = wp.vec3(met[0], met[1], met[2])
+        rest -= normal * wp.min(wp.dot(normal, rest), 0.0)
+    straight = march(world, start, moved, margin, obstacles)
+    return moved * straight[3]
+
+
+@wp.func
+def stop_grippers(
+    world: int,
+    margin: float,
+    obstacles: Obstacles,
+    leashes: wp.array3d(dtype=float),
+    gripper_nodes: wp.array2d(dtype=int),
+    holder: wp.array2d(dtype=int),
+    hold_offsets: wp.array2d(dtype=wp.vec3),
+    gripper_positions: wp.array2d(dtype=wp.vec3),
+    gripper_targets: wp.array2d(dtype=wp.vec3),
+):
+    """Move targets to where colliders let the node that a gripper holds, or else the gripper itself, come at most.
+
+    A gripper that is stopped can leave another one at the end of its leash, so both limits take turns. Where they find no
+    agreement, as for grippers told to go tens of metres apart, all stay where they are.
+    """
+    agreed = bool(False)
+    for _round in range(STOP_ROUNDS):
+        for gripper in range(gripper_targets.shape[1]):
+            start = gripper_positions[world, gripper]
+            motion = gripper_targets[world, gripper] - start
+            pivot = start
+            node = gripper_nodes[world, gripper]
+            if node >= 0 and holder[world, wp.max(node, 0)] == gripper:
+                pivot += hold_offsets[world, node]
+            if is_valid(pivot + motion):  # a target that is not freezes the world
+                stopped = stop_motion(world, pivot, motion, margin, obstacles)
+                if wp.length_sq(stopped - motion) > 0.0:
+                    gripper_targets[world, gripper] = start + stopped
+        if not limit_gripper_targets(world, leashes, gripper_targets):
+            agreed = True
+            break
+    if not agreed:
+        for gripper in range(gripper_targets.shape[1]):
+            if is_valid(gripper_targets[world, gripper]):
+                gripper_targets[world, gripper] = gripper_positions[world, gripper]

@@ -1,0 +1,318 @@
+"""ClothFolding-v1: fold a cloth on a table along a given crease."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from mani_skill.utils.registration import register_env
+
+from maniskill_grpd.graphs import Channel
+from maniskill_grpd.physics import Model, cloth
+from maniskill_grpd.tasks import channels
+from maniskill_grpd.tasks.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
+from maniskill_grpd.tasks.crease import (
+    corner_directions,
+    crease_ends,
+    hull_corners,
+    mirror,
+    offset_of_share,
+    side_directions,
+    signed_distances,
+)
+from maniskill_grpd.tasks.deformable_env import DeformableEnv
+from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet
+from maniskill_grpd.tasks.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.node_statistics import mean_over_nodes
+from maniskill_grpd.tasks.resolutions import check_resolutions
+
+CLOTH_AREA = 0.0576
+"""Area of the cloth [m^2]: a square of 24 cm."""
+DEFAULT_RESOLUTIONS = {1: 225, 2: 100}
+"""Number of nodes by the number of grippers. A corner folds across the rows of a square grid, whose cells do not bend: coarse
+ones stand upright along such a crease and keep the layers apart (docs/decisions.md)."""
+
+CREASE_NORMAL = Channel("crease_normal", "vector", "", "unit normal of the crease, towards the half that is to move, design")
+IS_MOVING = Channel("is_moving", "scalar", "", "1 where the node belongs to the half that is to move, design")
+
+
+class CreaseRange(NamedTuple):
+    """The creases of one number of grippers."""
+
+    deviation: float
+    """Largest angle between the crease's normal and the direction of a side or corner [rad]."""
+    shares: tuple[float, float]
+    """Smallest and largest share of the cloth's area that is to move."""
+    grip_angles: tuple[float, ...]
+    """Each gripper holds the node farthest in a direction this far from the crease's normal [rad]."""
+
+
+CREASES = {
+    1: CreaseRange(np.deg2rad(10.0), (0.25, 0.5), (0.0,)),
+    2: CreaseRange(np.deg2rad(20.0), (0.25, 0.5), (-np.deg2rad(25.0), np.deg2rad(25.0))),
+}
+"""Ranges of the creases by the number of grippers."""
+
+
+@register_env("ClothFolding-v1", max_episode_steps=100)
+class ClothFoldingEnv(DeformableEnv):
+    """
+    **Task Description:**
+    A cloth of 0.0576 m^2 (a square of 0.24 m by default) and 6 mm thickness lies flat on a table and must be folded along a given
+    crease: the half beyond the crease must come to lie mirrored on top of the other half, which must stay where it is. Two
+    floating grippers hold the two extreme points of the half that is to move, the ends of the side that is folded over; a single
+    gripper holds its extreme point, a corner. The layers touch and rub: the moving half must be lifted over.
+
+    **Randomizations:**
+    - the centre of the cloth is uniform in the square [-0.15, 0.15] m x [-0.15, 0.15] m
+    - its direction is uniform in [-180, 180] degrees
+    - the crease is drawn in the frame of the cloth, independently of where that lies: with two grippers any side of the shape
+      (of its convex hull) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
+      [-20, 20] degrees; with one gripper any corner is, and the angle to its bisector is uniform in [-10, 10] degrees
+    - the half that is to move has a share of the area uniform in [0.25, 0.5] with two grippers, [0.15, 0.35] with one
+    - with `shapes=("square", "triangle", ...)` each episode draws one of the shapes, likewise with several resolutions
+    - `pose_range="half"` and `"quarter"` shrink all ranges about their middle to a half and a quarter
+
+    **Success Conditions:**
+    - the mean distance of the moving half's nodes from their goals is at most 0.02 m
+    - the mean distance of the resting half's nodes from where they lay at the start is less than 0.02 m
+
+    **Fail Conditions:**
+    - the simulation of the world has diverged; it stands still until it is reset
+
+    **Goal Specification:**
+    - the goal position of every node, (N, 3): for the moving half the mirror image across the crease, one thickness (6 mm) above
+      the resting half; for the resting half where it lay at the start
+    - the unit normal of the crease, (3,), towards the moving half, and which nodes belong to that half, (N,)
+    """  # noqa: D200, D205, D212, D400, D415  (the form of ManiSkill's task cards)
+
+    GRIPPER_COUNTS = tuple(CREASES)
+    DEFAULT_NUM_GRIPPERS = 2
+    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
+    SELF_COLLISION = True
+    OBJECT_CHANNELS = (
+        channels.VELOCITY,
+        channels.GOAL_OFFSET,
+        CREASE_NORMAL,
+        channels.GOAL_DISTANCE,
+        channels.CORNER,
+        channels.HELD,
+        channels.CONTACT,
+        IS_MOVING,
+    )
+    GRIPPER_CHANNELS = (
+        channels.VELOCITY,
+        channels.GOAL_OFFSET,
+        CREASE_NORMAL,
+        channels.GOAL_DISTANCE,
+        channels.CORNER,
+        channels.GRIPPER_STATUS,
+    )
+
+    CENTRE_RANGE = 0.15
+    """Largest coordinate of the centre of the cloth [m]."""
+    YAW_RANGE = np.pi
+    """Largest angle of the cloth about the vertical [rad]."""
+
+    FOLD_DISTANCE_LIMIT = 0.02
+    """Success: largest mean distance of the moving half from its mirror image [m]."""
+    DRIFT_LIMIT = 0.02
+    """Success: mean distance below which the resting half has stayed where it was [m]."""
+
+    FAR_WEIGHT = 0.2
+    """Share of the reward that draws the moving half over from anywhere."""
+    FAR_SCALE = 0.1
+    """Mean distance [m] of the moving half at which that share has fallen to a quarter."""
+    NEAR_WEIGHT = 0.3
+    """Share of the reward for precision."""
+    NEAR_SCALE = 0.03
+    """Mean distance [m] of the moving half at which that share has fallen to 1 / e."""
+    DRIFT_SCALE = 0.03
+    """Drift of the resting half [m] at which both shares have fallen to 1 / e."""
+    SUCCESS_WEIGHT = 0.5
+    """Share of the reward for success."""
+
+    def __init__(
+        self,
+        *,
+        num_grippers: int | None = None,
+        resolution: int | Sequence[int] | None = None,
+        shapes: str | Sequence[str] = "square",
+        **settings: Any,
+    ) -> None:
+        """Set up the task.
+
+        Args:
+            num_grippers: 2 (default) or 1.
+            resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
+                two grippers and 225 with one.
+            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or "l_shape"; of several, each episode draws
+                one.
+            settings: Options of `DeformableEnv`.
+
+        Raises:
+            ValueError: If an option has a value that is not allowed; says which are.
+        """
+        if num_grippers is not None and num_grippers > max(CREASES):
+            raise ValueError(
+                f"num_grippers must be one of {list(CREASES)}, got {num_grippers}: a fold has two extreme points that move, and "
+                "grippers on the resting half would pin down what has to stay by itself"
+            )
+        self.resolutions = None if resolution is None else check_resolutions(resolution, *RESOLUTIONS)
+        self.shapes = check_cloth_shapes(shapes)
+        super().__init__(num_grippers=num_grippers, **settings)
+
+    # ------------------------------------------------------------------ episode
+
+    def _build_models(self) -> list[Model]:
+        self.resolutions = self.resolutions or (DEFAULT_RESOLUTIONS[self.num_grippers],)
+        self._outline_of_variant = [cloth_outline(name, CLOTH_AREA) for name in self.shapes for _ in self.resolutions]
+        sizes = self.resolutions * len(self.shapes)
+        return [cloth(outline, num_nodes=size) for outline, size in zip(self._outline_of_variant, sizes, strict=True)]
+
+    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        return hull_corners(model.rest_positions[:, :2])
+
+    def _allocate_episode(self) -> None:
+        num_nodes = self.solver.num_nodes
+        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3, kind="position")
+        self.is_moving = self._episode_tensor("is_moving", num_nodes, kind="scalar")
+        self.crease_normal = self._episode_tensor("crease_normal", 3, kind="vector")
+        self.crease_ends = self._episode_tensor("crease_ends", 2, 3, kind="position")
+        directions_of = side_directions if self.num_grippers == 2 else corner_directions
+        directions = [directions_of(outline) for outline in self._outline_of_variant]
+        candidates = [self._candidate_gripper_nodes(model) for model in self.models]
+        self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
+        self._directions, self._outlines, self._rest, self._candidates = (
+            torch.as_tensor(_stack_rows(tables), device=self.device)
+            for tables in (
+                [rows.astype(np.float32) for rows in directions],
+                [outline.astype(np.float32) for outline in self._outline_of_variant],
+                [model.rest_positions[:, :2] for model in self.models],
+                candidates,
+            )
+        )
+
+    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        variant = self.solver.variants[worlds].long()
+        draws = self._draw_uniform(worlds, 6)
+        pose, rest, radius = draws[:, :3], self._rest[variant], self.solver.model.radius
+        normal, offset = self._draw_crease(variant, draws[:, 3:])
+        beyond = (signed_distances(rest, normal, offset) > 0.0) & self.solver.node_mask[worlds]
+        goal = torch.where(beyond[..., None], mirror(rest, normal, offset), rest)
+        self.goal_positions[worlds] = self._lay_down(goal, radius + 2.0 * radius * beyond, pose)
+        self.is_moving[worlds] = beyond.float()
+        ends = crease_ends(self._outlines[variant], normal, offset)
+        self.crease_ends[worlds] = self._lay_down(ends, ends.new_zeros(ends.shape[:2]), pose)
+        origin = torch.zeros_like(pose[:, :2])  # a vector is laid down without being shifted
+        turn = torch.cat([origin, pose[:, 2:]], dim=1)
+        self.crease_normal[worlds] = self._lay_down(normal[:, None], normal.new_zeros(len(worlds), 1), turn)[:, 0]
+        return self._lay_down(rest, rest.new_full(rest.shape[:2], radius), pose), self._choose_start_nodes(variant, normal)
+
+    def _draw_crease(self, variant: torch.Tensor, draws: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw creases in the frames of the cloths from numbers in [-1, 1) (b, 3): unit normals (b, 2) and offsets (b,) [m]."""
+        ranges, count = CREASES[self.num_grippers], self._num_directions[variant]
+        index = ((draws[:, 0] + 1.0) / 2.0 * count).long()
+        direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
+        low, high = ranges.shares
+        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws[:, 2]
+        normal = _turn(direction[:, None], ranges.deviation * self._pose_share * draws[:, 1])[:, 0]
+        return normal, offset_of_share(self._outlines[variant], normal, share)
+
+    def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        """Return the extreme nodes that the grippers hold, (b, A)."""
+        candidates = self._candidates[variant]
+        points = self._rest[variant].gather(1, candidates[..., None].expand(-1, -1, 2))
+        nodes = []
+        for angle in CREASES[self.num_grippers].grip_angles:
+            towards = _turn(normal[:, None], torch.full_like(normal[:, 0], angle))
+            nodes.append(candidates.gather(1, (points * towards).sum(-1).argmax(dim=1, keepdim=True)))
+        return torch.cat(nodes, dim=1)
+
+    def _lay_down(self, points: torch.Tensor, heights: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
+        """Lay points (b, n, 2) of the cloth's frame at heights (b, n) [m], at poses given by draws in [-1, 1) (b, 3)."""
+        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self._pose_share)
+        turned = _turn(points, draws[:, 2] * (self.YAW_RANGE * self._pose_share))
+        return torch.cat([turned + centre, heights[..., None]], dim=-1)
+
+    # ------------------------------------------------------------------ one control step
+
+    def evaluate(self) -> dict[str, torch.Tensor]:
+        """Measure how far the two halves are from their goals; observation and reward reuse it."""
+        self._goal_offsets = self.goal_positions - self.solver.positions
+        self._goal_distances = torch.linalg.vector_norm(self._goal_offsets, dim=-1)
+        is_moving = self.is_moving > 0.0
+        fold_distance = mean_over_nodes(self._goal_distances, is_moving)
+        drift = mean_over_nodes(self._goal_distances, self.solver.node_mask & ~is_moving)
+        fail = self.solver.frozen.clone()
+        is_folded = (fold_distance <= self.FOLD_DISTANCE_LIMIT) & (drift < self.DRIFT_LIMIT)
+        return {"success": is_folded & ~fail, "fail": fail, "fold_distance": fold_distance, "drift": drift}
+
+    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
+        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure.
+
+        Nearness of the moving half counts as long as the other half rests: a cloth that is pushed across the table as a whole
+        brings that half near to where it should be, too.
+        """
+        far = 1.0 - torch.tanh(info["fold_distance"] / self.FAR_SCALE)
+        near = torch.exp(-((info["fold_distance"] / self.NEAR_SCALE) ** 2))
+        rests = torch.exp(-((info["drift"] / self.DRIFT_SCALE) ** 2))
+        reward = (self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near) * rests + self.SUCCESS_WEIGHT * info["success"]
+        return reward * ~info["fail"]
+
+    def _object_values(self) -> dict[str, torch.Tensor]:
+        return {
+            "goal_offset": self._goal_offsets,
+            "goal_distance": self._goal_distances,
+            "crease_normal": self.crease_normal[:, None].expand_as(self._goal_offsets),
+            "is_moving": self.is_moving,
+        }
+
+    def _gripper_values(self) -> dict[str, torch.Tensor]:
+        held = self.start_nodes
+        return {
+            "goal_offset": self._goal_offsets.gather(1, held[..., None].expand(-1, -1, 3)),
+            "goal_distance": self._goal_distances.gather(1, held),
+            "crease_normal": self.crease_normal[:, None].expand(-1, self.num_grippers, -1),
+        }
+
+    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
+        obs = {
+            "goal_positions": self.goal_positions.flatten(1).clone(),
+            "crease_normal": self.crease_normal.clone(),
+            "is_moving": self.is_moving.clone(),
+        }
+        if self.obs_mode_struct.use_state:
+            obs["cloth_positions"] = self.solver.positions.flatten(1).clone()
+            obs["cloth_velocities"] = self.solver.velocities.flatten(1).clone()
+        return obs
+
+    def _drawing(self, world: int) -> Drawing:
+        model = self.models[int(self.solver.variants[world])]
+        num, normal = model.num_nodes, self.solver.plane[world, :3]
+        moving = self.is_moving[world, :num].cpu().numpy() > 0.0
+        goal_faces = model.faces[moving[model.faces].all(axis=1)]
+        crease = self.crease_ends[world] + 2.0 * model.radius * normal
+        return Drawing(
+            object=Sheet(self.solver.positions[world, :num].cpu().numpy(), model.faces),
+            goal=Sheet(self.goal_positions[world, :num].cpu().numpy(), goal_faces[:, ::-1]),
+            lines=(Line(crease.cpu().numpy()),),
+            grippers=self.solver.gripper_positions[world].cpu().numpy(),
+            closed=self.solver.closed[world].cpu().numpy(),
+            is_solved=bool(self.evaluate()["success"][world]),
+        )
+
+
+def _turn(points: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
+    """Turn points (b, n, 2) counter-clockwise by angles (b,) [rad]."""
+    cos, sin = angle.cos()[:, None], angle.sin()[:, None]
+    x, y = points.unbind(-1)
+    return torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
+
+
+def _stack_rows(tables: Sequence[np.ndarray]) -> np.ndarray:
+    """Stack tables (n_m, ...) of different lengths into (M, n, ...), repeating their last rows."""
+    size = max(len(table) for table in tables)
+    return np.stack([table[np.minimum(np.arange(size), len(table) - 1)] for table in tables])

@@ -1,0 +1,159 @@
+"""Pictures of a world drawn in numpy, for machines on which SAPIEN cannot draw."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from mani_skill.sensors.camera import CameraConfig
+from scipy.ndimage import uniform_filter
+
+from maniskill_grpd.tasks import palette
+from maniskill_grpd.tasks.drawing import Drawing, Sheet
+from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
+from maniskill_grpd.tasks.rasterizer import Canvas, scan
+from maniskill_grpd.tasks.surfaces import (
+    Surface,
+    ghost_surface,
+    gripper_surfaces,
+    mark_surface,
+    shadow_surface,
+    surface_of,
+    table_lines,
+    table_top,
+)
+
+SAMPLES = 2
+"""Samples per pixel and direction: edges get soft."""
+SHADOW_BLUR = 5
+"""Width of the soft edge of shadows [pixels]."""
+AMBIENT, DIFFUSE, GLOSS = 0.58, 0.50, 0.16
+"""Shares of the light that does not, and does, depend on the slope of a surface; strength of its reflections."""
+GLOSS_EXPONENT = 24.0
+GHOST_ALPHA = 0.38
+MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
+GHOST_LEAD = 0.008
+"""Share of the distance by which a ghost must be nearer than something on the table to cover it."""
+EDGE_STEP = 0.0022
+"""Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
+EDGE_DARKNESS = 0.35
+
+
+class NumpyPainter:
+    """Draws one world as shaded triangles through a pinhole camera. Table at z = 0.
+
+    The light casts shadows on the table alone. The goal is a ghost: it tints what it covers, and its outline can be seen through
+    everything.
+    """
+
+    def __init__(self, camera: CameraConfig) -> None:
+        """Draw what never moves, once.
+
+        Args:
+            camera: Where the camera stands, its vertical field of view and the size of its images.
+        """
+        self._camera = PinholeCamera(camera, SAMPLES)
+        half = palette.LIGHT_DIRECTION + self._towards_camera(np.zeros(3))
+        self._glossy_normal = half / np.linalg.norm(half)
+        self._empty, self._with_table = self._backdrop(), self._table()
+        self._canvas = self._empty
+
+    def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
+        """Draw a world."""
+        self._canvas = (self._with_table if drawing.has_table else self._empty).copy()
+        parts = [(surface_of(solid), palette.SOLID, palette.SOLID) for solid in drawing.solids]
+        back = palette.BACK if isinstance(drawing.object, Sheet) else palette.FRONT
+        parts.append((surface_of(drawing.object), palette.FRONT, back))
+        for surface, is_closed in zip(gripper_surfaces(drawing), drawing.closed, strict=True):
+            color = palette.CLOSED_GRIPPER if is_closed else palette.OPEN_GRIPPER
+            parts.append((surface, color, color))
+        if drawing.has_table:
+            self._cast_shadows([surface for surface, *_ in parts])
+        for part in parts:
+            self._canvas.paint(*self._shaded(*part))
+        self._draw_edges()
+        if not hide_goal:
+            self._draw_goal(drawing)
+
+    def picture(self) -> torch.Tensor:
+        """Return what was drawn last, (1, H, W, 3) uint8 on the CPU."""
+        steps = range(SAMPLES)
+        light = sum(self._canvas.colors[row::SAMPLES, column::SAMPLES] for row in steps for column in steps)
+        pixels = (light * (255.0 / SAMPLES**2) + 0.5).clip(0.0, 255.0)
+        return torch.from_numpy(pixels.astype(np.uint8)[None])
+
+    def _draw_goal(self, drawing: Drawing) -> None:
+        color = palette.SOLVED if drawing.is_solved else palette.GOAL
+        if drawing.goal is not None:
+            ghost = self._shaded(ghost_surface(drawing.goal), color, color)
+            # What lies in its goal is not covered: it would take on the colour of the ghost.
+            is_table = self._canvas.nearness == self._with_table.nearness
+            limit = self._canvas.nearness * np.where(is_table, 1.0, 1.0 + GHOST_LEAD)
+            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, limit=limit)
+        marks = self._shaded(mark_surface(drawing), color, color)
+        self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
+
+    def _backdrop(self) -> Canvas:
+        shape = (self._camera.height, self._camera.width)
+        colors = np.broadcast_to(np.float32(palette.BACKGROUND), (*shape, 3))
+        return Canvas(colors.copy(), np.zeros(shape, dtype=np.float32))
+
+    def _table(self) -> Canvas:
+        canvas = self._backdrop()
+        for surface, color in ((table_top(), palette.TABLE), (table_lines(), palette.TABLE_LINES)):
+            pixels, nearness, _ = self._shaded(surface, color, color)
+            canvas.paint(pixels, nearness, np.broadcast_to(color, (len(pixels), 3, 3)))
+        return canvas
+
+    def _cast_shadows(self, surfaces: list[Surface]) -> None:
+        """Darken the table where light does not get past some surfaces."""
+        shadow = np.zeros(self._canvas.nearness.shape, dtype=np.float32)
+        for surface in surfaces:
+            shade = shadow_surface(surface)
+            fragments = scan(self._camera.project(shade.vertices[shade.faces])[0], shadow.shape)
+            shadow[fragments.rows, fragments.columns] = 1.0
+        window = _window(shadow > 0.0, SHADOW_BLUR * SAMPLES)
+        shadow = uniform_filter(shadow[window], SHADOW_BLUR * SAMPLES)
+        self._canvas.colors[window] *= (1.0 - palette.SHADOW_DARKNESS * shadow)[..., None]
+
+    def _draw_edges(self) -> None:
+        """Darken what lies just behind the edge of something nearer."""
+        window = _window(self._canvas.nearness != self._with_table.nearness, 1)
+        near = self._canvas.nearness[window]
+        # The nearness of a plane is linear over the picture: this sees steps, and nothing else.
+        step = np.zeros_like(near)
+        step[1:-1, 1:-1] = (near[:-2, 1:-1] + near[2:, 1:-1] + near[1:-1, :-2] + near[1:-1, 2:] - 4.0 * near[1:-1, 1:-1])
+        strength = EDGE_DARKNESS * np.clip(step / EDGE_STEP - 1.0, 0.0, 1.0)
+        self._canvas.colors[window] *= (1.0 - strength)[..., None]
+
+    def _shaded(
+        self, surface: Surface, front: palette.Color, back: palette.Color
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the triangles of a surface as a canvas takes them, each in the colour of the side that is seen."""
+        corners = surface.vertices[surface.faces]
+        outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        is_front = (outward * self._towards_camera(corners[:, 0])).sum(axis=-1) > 0.0
+        normals = np.where(is_front[:, None, None], 1.0, -1.0) * surface.normals[surface.faces]
+        base = np.where(is_front[:, None, None], np.array(front), np.array(back))
+        pixels, nearness = self._camera.project(corners)
+        return pixels, nearness, base * self._brightness(normals) + self._reflection(normals)
+
+    def _brightness(self, normals: np.ndarray) -> np.ndarray:
+        """Return the light that surfaces with normals (..., 3) scatter, (..., 1); 1 on average."""
+        return AMBIENT + DIFFUSE * np.maximum(normals @ palette.LIGHT_DIRECTION, 0.0)[..., None]
+
+    def _reflection(self, normals: np.ndarray) -> np.ndarray:
+        """Return the light that is reflected into the camera, as if it looked at the origin, (..., 1)."""
+        return GLOSS * (np.maximum(normals @ self._glossy_normal, 0.0) ** GLOSS_EXPONENT)[..., None]
+
+    def _towards_camera(self, points: np.ndarray) -> np.ndarray:
+        directions = self._camera.position - points
+        return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def _window(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns in which a mask (H, W) is true, and a margin around them."""
+    bounds = []
+    for axis in (1, 0):
+        at = np.flatnonzero(mask.any(axis=axis))
+        bounds.append(slice(max(at[0] - margin, 0), at[-1] + margin + 1) if len(at) else slice(0, 0))
+    return bounds[0], bounds[1]

@@ -1,0 +1,54 @@
+"""Learners that know nothing of these tasks run on them."""
+
+import maniskill_ppo
+import pytest
+import torch
+
+stable_baselines3_ppo = pytest.importorskip("stable_baselines3_ppo")
+
+
+@pytest.fixture(autouse=True)
+def _keep_threads():
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
+
+
+def test_stable_baselines3_trains_and_sees_whole_episodes():
+    config = stable_baselines3_ppo.Sb3Config(num_envs=8, num_steps=100, total_timesteps=1600, sim_backend="cpu")
+    learner = stable_baselines3_ppo.train(config)
+    assert learner.num_timesteps == 1600
+    episodes = list(learner.ep_info_buffer)
+    assert len(episodes) == 16
+    assert all(episode["l"] == 100 for episode in episodes)
+    assert all(0.0 < episode["r"] < 100.0 for episode in episodes)
+
+
+def test_ppo_as_in_maniskill_reports_its_metrics():
+    config = maniskill_ppo.PpoConfig(
+        num_envs=4, num_eval_envs=2, num_steps=20, num_minibatches=4, update_epochs=1, total_timesteps=240, sim_backend="cpu"
+    )
+    metrics = maniskill_ppo.train(config)
+    assert {"success_once", "success_at_end", "return", "episode_len"} <= set(metrics)
+    assert metrics["episode_len"] == 100
+
+
+def test_ppo_as_in_maniskill_bootstraps_from_the_last_observation():
+    """Advantages with lambda = 1 are the discounted rewards to the time limit plus the value there, minus the value."""
+    config = maniskill_ppo.PpoConfig(num_envs=3, num_steps=104, gae_lambda=1.0, sim_backend="cpu")
+    envs = maniskill_ppo.make_envs(config, 3, ignore_terminations=True)
+    agent = maniskill_ppo.MlpAgent(envs.single_observation_space.shape[0], 12)
+    state, _ = envs.reset(seed=0)
+    seen = []
+    step = envs.step
+    envs.step = lambda action: seen.append(step(action)) or seen[-1]
+    rollout, _ = maniskill_ppo.collect(agent, envs, state, config)
+    rewards = torch.stack([row[1] for row in seen])[:100]
+    discounts = config.gamma ** torch.arange(101.0)
+    with torch.no_grad():
+        last = agent.value(seen[99][4]["final_observation"])
+        expected = (discounts[:100, None] * rewards).sum(0) + discounts[100] * last
+    torch.testing.assert_close(rollout["returns"].view(104, 3)[0], expected, rtol=1e-4, atol=1e-4)
+    # the episode that follows starts elsewhere
+    assert (seen[99][4]["final_observation"] != seen[99][0]).any()
+    envs.close()
