@@ -36,8 +36,9 @@ def plot_bars(data: StudyData) -> Figure | None:
         names = [condition.name for condition in conditions_of(task)]
         for index, arm in enumerate(study.arms):
             places = np.arange(len(names)) + (index - (len(study.arms) - 1) / 2) * width
-            middles, errors = _summaries(data, task, arm, names, metric)
-            axis.bar(places, middles, width, yerr=errors, color=COLORS[index], label=arm.name, capsize=2, error_kw={"lw": 1.0})
+            middles, lows, highs = _summaries(data, task, arm, names, metric).T
+            axis.bar(places, middles, width, color=COLORS[index], label=arm.name)
+            axis.vlines(places, lows, highs, color="black", lw=1.0)
         axis.set_xticks(range(len(names)), names, **({"rotation": 20, "ha": "right"} if len(names) > 1 else {}))
         _finish(axis, task.name, "", metric)
     return _with_legend(figure, axes[0])
@@ -128,15 +129,14 @@ PLOTS: dict[str, Callable[[StudyData], Figure | None]] = {
 """Pictures by the names that studies use; None where there is nothing to draw."""
 
 
-def _summaries(data: StudyData, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return means (C,) and lengths of error bars (2, C), nan where nothing has been run."""
-    middles, errors = np.full(len(conditions), np.nan), np.full((2, len(conditions)), np.nan)
-    for index, condition in enumerate(conditions):
+def _summaries(data: StudyData, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> np.ndarray:
+    """Return mean, low and high end of each condition (C, 3), nan where nothing has been run."""
+    table = np.full((len(conditions), 3), np.nan)
+    for row, condition in zip(table, conditions, strict=True):
         summary = data.summary(task, arm, condition, metric)
         if summary is not None:
-            middles[index], (low, high) = summary
-            errors[:, index] = middles[index] - low, high - middles[index]
-    return middles, errors
+            row[0], row[1:] = summary
+    return table
 
 
 def _draw_band(axis: Axes, data: StudyData, task: Task, arm: Arm, metric: str, color: str) -> None:

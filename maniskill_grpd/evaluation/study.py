@@ -30,9 +30,9 @@ class Condition:
         factors: What tables and plots call this condition, by factor; empty: "as trained".
     """
 
-    env_options: Options = field(default_factory=dict)
+    env_options: Options = field(default_factory=dict, hash=False)
     sigma: float = 0.0
-    factors: Options = field(default_factory=dict)
+    factors: Options = field(default_factory=dict, hash=False)
 
     @property
     def name(self) -> str:
@@ -78,7 +78,7 @@ class Task:
     """
 
     env_id: str
-    options: Options = field(default_factory=dict)
+    options: Options = field(default_factory=dict, hash=False)
     conditions: tuple[Condition, ...] = (AS_TRAINED,)
     label: str | None = None
 
@@ -115,9 +115,9 @@ class Arm:
 
     name: str
     policy: str = "grpd"
-    policy_options: Options = field(default_factory=dict)
+    policy_options: Options = field(default_factory=dict, hash=False)
     algorithm: str = "bpp"
-    train_options: Options = field(default_factory=dict)
+    train_options: Options = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +128,7 @@ class Run:
     arm: Arm
     seed: int
     budget: int
-    train_options: Options = field(default_factory=dict)
+    train_options: Options = field(default_factory=dict, hash=False)
 
     @property
     def name(self) -> str:
@@ -199,7 +199,7 @@ class Study:
     factor: str | None = None
     trained_by: str | None = None
     budget: int | None = None
-    train_options: Options = field(default_factory=dict)
+    train_options: Options = field(default_factory=dict, hash=False)
 
     def runs(self, budget: int, seeds: Iterable[int]) -> Iterator[Run]:
         """Yield the trainings it needs, all arms of a task and seed side by side.
