@@ -122,7 +122,7 @@ class ClothHangingEnv(DeformableEnv):
     # A cloth that waits before the hanger must earn clearly less than one that hangs (docs/decisions.md).
     WAY_WEIGHT = 0.2
     """Share of the reward that draws the seat to the hanger from anywhere."""
-    WAY_SCALE = 0.3
+    WAY_SCALE = 0.5
     """Way [m] at which that share has fallen to a quarter."""
     ALIGNMENT_WEIGHT = 0.1
     """Share for turning the cloth, felt near the hanger."""
