@@ -254,7 +254,8 @@ def test_coming_from_beside_the_peg_the_way_leads_round_the_tip(make_env):
     """Beside the peg nearer to it is no better, but nearer to its front is."""
     base = make_env(3).unwrapped
     lay_on_peg(base, [0.1, 0.1, 0.0], 0.0, [0.15, 0.3, 0.3])
-    way = base.evaluate() and base._hanging.way
+    base.evaluate()
+    way = base.hanging.way
     assert way[0] > 0.2
     assert way[2] < way[1]
 
