@@ -7,19 +7,36 @@ Writes <id of the task>.png and .gif, and tasks.gif. The clips end a second afte
 
 import argparse
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from mani_skill.utils.registration import REGISTERED_ENVS
+from mani_skill.utils.sapien_utils import look_at
 from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
-from maniskill_grpd.experts import EXPERTS, make_expert
+from maniskill_grpd.experts import make_expert
 
-SEEDS = {"RopeShaping-v1": 11, "RopeWrapping-v1": 8, "ClothFolding-v1": 3, "ClothHanging-v1": 5}
-"""Seed of the episode that is shown."""
-FIELDS_OF_VIEW = {"ClothHanging-v1": 0.58, "RopeShaping-v1": 0.8}
-"""Vertical field of view [rad] where it is not `FIELD_OF_VIEW`: only these episodes must fit in."""
-FIELD_OF_VIEW = 0.7
+
+class Episode(NamedTuple):
+    """What is shown of a task."""
+
+    seed: int
+    field_of_view: float
+    """Vertical field of view [rad]; that of the task's camera is wide enough for every episode."""
+    target: tuple[float, float, float]
+    """Where the camera looks [m]."""
+    options: dict[str, Any] = {}
+    """Options of the task."""
+
+
+EPISODES = {
+    "RopeShaping-v1": Episode(11, 0.8, (0.0, 0.0, 0.0)),
+    "RopeWrapping-v1": Episode(8, 0.68, (0.0, 0.05, 0.0)),
+    "ClothFolding-v1": Episode(3, 0.6, (0.0, 0.07, 0.0)),
+    "ClothHanging-v1": Episode(1, 0.42, (0.3, 0.0, -0.25), {"release": True}),
+}
 STILL_SHARE = 0.6
 """Share of the way to success at which the still is taken."""
 NUM_LAST_FRAMES = 20
@@ -30,7 +47,7 @@ CLIP_SIZE = 320
 """Side of the clips [pixels]."""
 
 
-def play_expert(env_id: str, seed: int) -> tuple[list[Image.Image], int]:
+def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
     """Play one episode.
 
     Returns:
@@ -40,11 +57,12 @@ def play_expert(env_id: str, seed: int) -> tuple[list[Image.Image], int]:
     Raises:
         RuntimeError: If the expert does not succeed.
     """
-    camera = {"fov": FIELDS_OF_VIEW.get(env_id, FIELD_OF_VIEW)}
+    position = REGISTERED_ENVS[env_id].cls.CAMERA_POSITION
+    camera = {"fov": episode.field_of_view, "pose": look_at(position, episode.target)}
     env = gym.make(
-        env_id, num_envs=1, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera
+        env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options
     )
-    env.reset(seed=seed)
+    env.reset(seed=episode.seed)
     expert = make_expert(env_id, env)
     frames, num_steps = [_frame(env)], None
     while num_steps is None or len(frames) <= num_steps + NUM_LAST_FRAMES:
@@ -56,7 +74,7 @@ def play_expert(env_id: str, seed: int) -> tuple[list[Image.Image], int]:
             break
     env.close()
     if num_steps is None:
-        raise RuntimeError(f"the expert of {env_id} does not succeed from seed {seed}")
+        raise RuntimeError(f"the expert of {env_id} does not succeed from seed {episode.seed}")
     return frames, num_steps
 
 
@@ -97,8 +115,8 @@ def main() -> None:
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     clips = []
-    for env_id in EXPERTS:
-        frames, num_steps = play_expert(env_id, SEEDS[env_id])
+    for env_id, episode in EPISODES.items():
+        frames, num_steps = play_expert(env_id, episode)
         frames[round(STILL_SHARE * num_steps)].save(folder / f"{env_id}.png", optimize=True)
         clips.append([frame.resize((CLIP_SIZE, CLIP_SIZE), Image.Resampling.BOX) for frame in frames])
         write_clip(clips[-1], folder / f"{env_id}.gif")

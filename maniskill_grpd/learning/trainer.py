@@ -59,6 +59,12 @@ class Trainer:
         run_dir: Folder for checkpoints and logs; made if missing.
         workers: The processes that train together; by default this one.
 
+    Attributes:
+        state: What a checkpoint holds.
+        times: Seconds by phase of the last iteration: rollout, env (its share of the rollout), update,
+            eval, checkpoint; what did not happen is missing.
+        last_evaluation: Metrics of the last evaluation by tag.
+
     Raises:
         ValueError: If `envs` has another number of environments than the config, sizes cannot be
             shared evenly among the processes, or the device lacks what the config asks for.
@@ -97,7 +103,7 @@ class Trainer:
                 schema=policy.schema, position_std=noise[0], velocity_std=noise[1]
             )
         self._collector = Collector(envs, config.num_steps, disturb, self.workers, config.amp)
-        self._times: dict[str, float] = {}
+        self.times: dict[str, float] = {}
         self._is_resumed = False
 
     def train(self) -> dict[str, float]:
@@ -110,23 +116,12 @@ class Trainer:
             NonFiniteError: If an observation, reward or gradient is not finite.
             OSError: If a checkpoint cannot be written.
         """
-        self._prepare()
-        progress = tqdm(
-            total=self.config.num_iterations * self.config.batch_size,
-            initial=self.state.global_step,
-            unit="step",
-            dynamic_ncols=True,
-            disable=not self.workers.is_first,
-            # In a log file every refresh is a line.
-            mininterval=0.5 if sys.stderr.isatty() else 30.0,
-        )
+        self.prepare()
         try:
             while self.state.iteration < self.config.num_iterations:
-                self._run_iteration(progress)
+                self.run_iteration()
         finally:
-            progress.close()
-            if self._log_file is not None:
-                self._log_file.close()
+            self.close()
         self._save("final_ckpt.pt")
         return self.last_evaluation
 
@@ -153,7 +148,8 @@ class Trainer:
         if config.amp and next(self.policy.parameters()).device.type != "cuda":
             raise ValueError("--amp needs a CUDA device; on a CPU leave it out")
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Open the logs, reset the environments and, in a new run, scale the observations."""
         torch.set_num_threads(self.config.torch_threads)
         self._log_file = None
         if self.workers.is_first:
@@ -164,6 +160,15 @@ class Trainer:
                 "several threads wait for each other"
             )
             self._log_file = RunLog(self.run_dir, self.config, self.state.iteration)
+        self._progress = tqdm(
+            total=self.config.num_iterations * self.config.batch_size,
+            initial=self.state.global_step,
+            unit="step",
+            dynamic_ncols=True,
+            disable=not self.workers.is_first,
+            # In a log file every refresh is a line.
+            mininterval=0.5 if sys.stderr.isatty() else 30.0,
+        )
         self._start = time.perf_counter()
         self._steps_this_session = 0
         self._reset_envs()
@@ -172,17 +177,24 @@ class Trainer:
             update_normalizer(self.policy.normalizer, rollout.flat_graph(), self.workers)
             self._reset_envs()
 
-    def _run_iteration(self, progress: tqdm) -> None:
-        self._times.clear()
+    def run_iteration(self) -> None:
+        """Collect, learn, log, evaluate and save once; `times` then tells how long each took."""
+        self.times.clear()
         with self._timed("rollout"):
             rollout, episodes = self._collect(f"in iteration {self.state.iteration}")
-        self._times["env"] = self._collector.env_seconds
+        self.times["env"] = self._collector.env_seconds
         with self._timed("update"):
             self._estimate_advantages(rollout)
             losses = self._update(rollout)
-        self._log(rollout, episodes, losses, progress)
+        self._log(rollout, episodes, losses)
         is_best = self._evaluate() if self._is_evaluation_due() else False
         self._checkpoint(is_best)
+
+    def close(self) -> None:
+        """Close the logs."""
+        self._progress.close()
+        if self._log_file is not None:
+            self._log_file.close()
 
     def _reset_envs(self) -> None:
         seeds = episode_seeds(self.config, self.state.iteration)
@@ -220,11 +232,7 @@ class Trainer:
         return losses
 
     def _log(
-        self,
-        rollout: Rollout,
-        episodes: dict[str, float],
-        losses: dict[str, float],
-        progress: tqdm,
+        self, rollout: Rollout, episodes: dict[str, float], losses: dict[str, float]
     ) -> None:
         """Write the metrics of the iteration."""
         batch_size = self.config.batch_size
@@ -238,15 +246,15 @@ class Trainer:
             "charts/learning_rate": now.learning_rate,
             "charts/ent_coef": now.ent_coef,
             "charts/SPS": self._steps_this_session / elapsed,
-            **{f"time/{name}_time": seconds for name, seconds in self._times.items()},
-            "time/rollout_fps": batch_size / self._times["rollout"],
+            **{f"time/{name}_time": seconds for name, seconds in self.times.items()},
+            "time/rollout_fps": batch_size / self.times["rollout"],
         }
         if now.entropy_floor is not None:
             metrics["charts/entropy_floor"] = now.entropy_floor
         if self._log_file is not None:
             self._log_file.add("train", self.state.iteration, self.state.global_step, metrics)
-        progress.update(batch_size)
-        progress.set_postfix_str(_progress_text(metrics))
+        self._progress.update(batch_size)
+        self._progress.set_postfix_str(_progress_text(metrics))
 
     def _is_evaluation_due(self) -> bool:
         iteration, config = self.state.iteration, self.config
@@ -261,7 +269,7 @@ class Trainer:
             with self._timed("eval"):
                 episodes = evaluate_policy(self.policy, self.eval_envs, seeds)
             metrics = {f"eval/{k}": v.double().mean().item() for k, v in episodes.items()}
-            metrics["time/eval_time"] = self._times["eval"]
+            metrics["time/eval_time"] = self.times["eval"]
             self._log_file.add("eval", self.state.iteration, self.state.global_step, metrics)
             text = ", ".join(f"{k[5:]}={v:.3g}" for k, v in metrics.items() if k.startswith("eval/"))
             tqdm.write(f"eval at step {self.state.global_step:,}: {text}")
@@ -277,8 +285,9 @@ class Trainer:
             self._save("best_ckpt.pt")
         iteration = self.state.iteration
         if iteration % self.config.checkpoint_freq == 0 or iteration == self.config.num_iterations:
-            self._save("last.pt")
-            self._reset_envs()
+            with self._timed("checkpoint"):
+                self._save("last.pt")
+                self._reset_envs()
 
     def _save(self, name: str) -> None:
         if not self.config.save_model:
@@ -291,7 +300,7 @@ class Trainer:
     def _timed(self, phase: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        self._times[phase] = time.perf_counter() - start
+        self.times[phase] = time.perf_counter() - start
 
 
 def episode_seeds(config: TrainConfig, iteration: int) -> list[int]:

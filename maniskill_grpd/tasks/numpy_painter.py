@@ -41,8 +41,8 @@ EDGE_DARKNESS = 0.35
 class NumpyPainter:
     """Draws one world as shaded triangles through a pinhole camera. Table at z = 0.
 
-    The light casts shadows on the table alone. The goal is a ghost: it tints what it covers, and its outline can be seen through
-    everything.
+    Shadows fall on the table alone. The goal is a ghost that tints what it covers; outlines and lines can be seen through
+    everything, fainter.
     """
 
     def __init__(self, camera: CameraConfig) -> None:

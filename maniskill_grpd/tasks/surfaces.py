@@ -150,14 +150,17 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
     """Return the closed loops of edges that have a face on one side only, first vertex repeated at the end."""
     sides = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     present = set(map(tuple, sides.tolist()))
-    following = {start: end for start, end in present if (end, start) not in present}
+    following: dict[int, list[int]] = {}
+    for start, end in sorted(present):
+        if (end, start) not in present:
+            following.setdefault(start, []).append(end)
     loops = []
-    while following:
-        start, end = following.popitem()
-        loop = [start, end]
-        while loop[-1] != start:
-            loop.append(following.pop(loop[-1]))
-        loops.append(np.array(loop))
+    for start, ends in following.items():
+        while ends:  # more than once where corners of two faces touch
+            loop = [start, ends.pop()]
+            while loop[-1] != start:
+                loop.append(following[loop[-1]].pop())
+            loops.append(np.array(loop))
     return loops
 
 

@@ -5,8 +5,8 @@ import sys
 from pathlib import Path
 
 import torch
-from run_toy import CONFIG
 from toy_env import ToyEnv, ToyPolicy
+from toy_run import CONFIG
 
 from maniskill_grpd.learning import Trainer
 from maniskill_grpd.learning.workers import join_workers, leave_workers

@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 import torch
-from run_toy import CONFIG
 from toy_env import SCHEMA, ToyEnv, ToyPolicy
+from toy_run import CONFIG
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
 from maniskill_grpd.learning import Trainer

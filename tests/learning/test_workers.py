@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 import torch
 import torch.multiprocessing as mp
-from run_toy import CONFIG
 from run_workers import WORKERS_CONFIG
 from test_update import collect, make_learner
 from toy_env import ToyEnv, ToyPolicy
+from toy_run import CONFIG
 
 import maniskill_grpd
 from maniskill_grpd.learning import CheckpointError, Trainer, load_checkpoint

