@@ -71,7 +71,7 @@ def demonstrate(config: DemoConfig) -> dict[str, float]:
 
     summary = summarize(before, after)
     summary["seconds"] = time.perf_counter() - start
-    summary["total_timesteps"] = trainer.global_step
+    summary["total_timesteps"] = trainer.state.global_step
     (RUN_DIR / "metrics.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     curve = plot_learning_curve(RUN_DIR)
     video = record_video(

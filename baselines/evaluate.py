@@ -20,7 +20,9 @@ import tyro
 from record_video import record_video
 from run_setup import check_schema, describe_episodes, load_policy, make_env
 
+from maniskill_grpd.evaluation import NoisyObserver
 from maniskill_grpd.learning import CheckpointError, TrainConfig, evaluate_policy
+from maniskill_grpd.policies import Policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +45,8 @@ class EvalConfig:
     """where the simulation runs (auto, cpu, cuda), if not as in training"""
     stochastic: bool = False
     """sample actions instead of taking the mean"""
+    sigma: float = 0.0
+    """standard deviation of noise on observed positions [m] and velocities [m/s]"""
     torch_threads: int = 1
     """CPU threads PyTorch uses"""
     video: Path | None = None
@@ -54,6 +58,8 @@ class EvalConfig:
         for name in ("num_episodes", "num_envs", "torch_threads"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        if not self.sigma >= 0.0:
+            raise ValueError(f"sigma must not be negative, got {self.sigma}")
 
 
 def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
@@ -65,14 +71,8 @@ def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
     torch.set_num_threads(config.torch_threads)
     policy, contents = load_policy(config.checkpoint)
     task = task_config(config, TrainConfig.from_dict(contents["train_config"]))
-    env = make_env(task, min(config.num_envs, config.num_episodes))
-    check_schema(policy, env)
-    device = env.unwrapped.device
-    policy.to(device)
     seeds = range(config.seed, config.seed + config.num_episodes)
-    generator = torch.Generator(device).manual_seed(config.seed) if config.stochastic else None
-    episodes = evaluate_policy(policy, env, seeds, not config.stochastic, generator=generator)
-    env.close()
+    episodes = play(policy, task, seeds, config.num_envs, sigma=config.sigma, stochastic=config.stochastic)
     print(
         f"{task.env_id} {' '.join(task.env_kwargs)}: {config.num_episodes} episodes, seeds {seeds[0]} to {seeds[-1]}, "
         f"policy after {contents['global_step']:,} steps"
@@ -82,6 +82,36 @@ def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
         write_results(config, task, contents["global_step"], episodes)
     if config.video is not None:
         print(f"video: {record_video(policy, task, seeds[:4], config.video)}")
+    return episodes
+
+
+def play(
+    policy: Policy, task: TrainConfig, seeds: Sequence[int], num_envs: int, *, sigma: float = 0.0, stochastic: bool = False
+) -> dict[str, torch.Tensor]:
+    """Play one episode per seed in an environment made for it.
+
+    Args:
+        policy: The policy.
+        task: Names the task and its options.
+        seeds: One per episode; the first also seeds the noise.
+        num_envs: Most environments that run in parallel.
+        sigma: Noise on observed positions [m] and velocities [m/s].
+        stochastic: Whether to sample actions.
+
+    Returns:
+        Results per episode, as `evaluate_policy` gives them.
+
+    Raises:
+        CheckpointError: If the policy was trained on other observations than the task gives.
+    """
+    env = make_env(task, min(num_envs, len(seeds)))
+    check_schema(policy, env)
+    device = env.unwrapped.device
+    policy.to(device)
+    action_noise, observation_noise = (torch.Generator(device).manual_seed(seeds[0] + offset) for offset in (0, 1))
+    actor = NoisyObserver(policy, sigma, observation_noise) if sigma else policy
+    episodes = evaluate_policy(actor, env, seeds, not stochastic, generator=action_noise if stochastic else None)
+    env.close()
     return episodes
 
 
@@ -107,6 +137,7 @@ def write_results(
         "env_kwargs": task.env_options,
         "first_seed": config.seed,
         "num_episodes": config.num_episodes,
+        "sigma": config.sigma,
         "global_step": global_step,
         "mean": {name: values.double().mean().item() for name, values in episodes.items()},
         "episodes": {name: values.tolist() for name, values in episodes.items()},

@@ -1,6 +1,6 @@
 """Train PPO of Stable-Baselines3 on a task: state observations, flat actions, ManiSkill's own adapter.
 
-pip install stable-baselines3
+pip install -e ".[sb3]"
 python examples/stable_baselines3_ppo.py --env_id RopeShaping-v1 --total_timesteps 200_000
 """
 

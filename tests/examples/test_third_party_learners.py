@@ -15,6 +15,9 @@ def _keep_threads():
 
 
 def test_stable_baselines3_trains_and_sees_whole_episodes():
+    pytest.importorskip("stable_baselines3")
+    import stable_baselines3_ppo
+
     config = stable_baselines3_ppo.Sb3Config(num_envs=8, num_steps=100, total_timesteps=1600, sim_backend="cpu")
     learner = stable_baselines3_ppo.train(config)
     assert learner.num_timesteps == 1600

@@ -8,7 +8,7 @@ from maniskill_grpd.learning import NonFiniteError, TrainConfig
 from maniskill_grpd.learning.algorithm import make_algorithm
 from maniskill_grpd.learning.collector import Collector
 from maniskill_grpd.learning.rollout import graph_items
-from maniskill_grpd.learning.update import update_policy
+from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner, autocast_policy
 from maniskill_grpd.learning.value_scale import ValueScale
 
 CONFIG = TrainConfig(
@@ -26,16 +26,18 @@ def collect(policy, env=None, scale=None):
     return rollout, episodes
 
 
-def run_update(policy, rollout, config=CONFIG, algorithm=None):
-    return update_policy(
-        policy,
-        torch.optim.Adam(policy.parameters(), lr=1e-3),
-        algorithm or make_algorithm(config),
-        rollout,
-        ValueScale(),
-        config,
-        torch.Generator().manual_seed(0),
+def make_learner(policy, config=CONFIG):
+    return Learner(
+        policy=policy,
+        optimizer=torch.optim.Adam(policy.parameters(), lr=1e-3),
+        value_scale=ValueScale(),
+        config=config,
+        generator=torch.Generator().manual_seed(0),
     )
+
+
+def run_update(policy, rollout, config=CONFIG, algorithm=None):
+    return (algorithm or make_algorithm(config)).update(make_learner(policy, config), rollout)
 
 
 def test_a_rollout_holds_what_the_environment_gave():
@@ -84,11 +86,16 @@ def test_a_graph_that_changes_its_shape_is_refused():
         rollout.store_graph(0, graph)
 
 
-class RatioProbe:
+class RatioProbe(FirstOrderAlgorithm):
     """An algorithm that notes the probability ratio of every minibatch and leaves the policy alone."""
 
     def __init__(self):
+        super().__init__(ent_coef=0.0)
         self.ratios = []
+
+    def diagnose(self, dist, batch):
+        """Report nothing more."""
+        return {}
 
     def policy_loss(self, dist, batch):
         """Note the ratios."""
@@ -164,3 +171,27 @@ def test_value_scale_of_constant_returns_is_finite():
     scale = ValueScale()
     scale.update(torch.full((10,), 3.0))
     assert torch.isfinite(scale.normalize(torch.tensor([3.0, 4.0]))).all()
+
+
+@pytest.mark.slow
+def test_a_compiled_policy_learns_the_same():
+    results = []
+    for compile_policy in (False, True):
+        policy = ToyPolicy()
+        rollout, _ = collect(policy)
+        fields = {**CONFIG.to_dict(), "compile": compile_policy, "update_epochs": 2}
+        run_update(policy, rollout, TrainConfig.from_dict(fields))
+        results.append(policy.state_dict())
+    torch.testing.assert_close(results[0], results[1], rtol=1e-4, atol=1e-6)
+
+
+def test_bfloat16_products_leave_float32_results_and_ratios_near_one():
+    """What CUDA does with --amp, on the processor: its results are float32, its errors those of bfloat16."""
+    policy = ToyPolicy(gripper=True)
+    rollout, _ = collect(policy, ToyEnv(8, max_steps=5, stagger=True, gripper=True))
+    batch = rollout.select(torch.arange(56))
+    exact, _ = policy(batch.graph)
+    dist, values = autocast_policy(policy, batch.graph, enabled=True)
+    assert {t.dtype for t in (dist.mean, dist.std, dist.gripper_logits, values)} == {torch.float32}
+    assert not torch.equal(dist.gripper_logits, exact.gripper_logits)
+    torch.testing.assert_close(dist.log_prob(batch.actions), batch.log_probs, rtol=0.02, atol=0.05)

@@ -23,6 +23,7 @@ from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet, Solid, Tube
 from maniskill_grpd.tasks.surfaces import (
     boundary_loops,
     dashes,
+    ghost_surface,
     gripper_surfaces,
     mark_surface,
     shadow_surface,
@@ -89,6 +90,14 @@ def test_boundary_of_a_sheet_is_its_outline_and_its_holes(holed):
     hole = min(loops, key=len)
     assert set(hole.tolist()) == set(holed.node_sets["hole"].tolist())
     assert set(np.concatenate(loops).tolist()) == set(holed.node_sets["boundary"].tolist()) | set(hole.tolist())
+
+
+def test_boundary_of_faces_that_touch_at_a_corner_goes_around_each():
+    faces = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]])
+    loops = boundary_loops(faces)
+    sides = {(int(i), int(j)) for loop in loops for i, j in zip(loop[:-1], loop[1:], strict=True)}
+    assert sides == {(0, 1), (1, 2), (2, 0), (2, 3), (3, 4), (4, 2), (5, 6), (6, 7), (7, 5)}
+    assert sum(len(loop) - 1 for loop in loops) == 9
 
 
 # ---------------------------------------------------------------- obstacles
@@ -183,6 +192,16 @@ def test_marks_are_the_outline_of_a_cloth_and_the_lines(holed):
     line = Line(np.array([[0.0, -0.3, 0.0], [0.0, 0.3, 0.0]]))
     both = mark_surface(drawing(goal=goal, lines=(line,))).vertices
     assert np.ptp(both[:, 1]) == pytest.approx(0.605, abs=1e-3)
+
+
+def test_a_cloth_that_is_where_it_should_be_takes_the_place_of_its_goal(holed):
+    goal = Sheet(holed.rest_positions, holed.faces)
+    assert ghost_surface(drawing()) is None
+    assert len(ghost_surface(drawing(goal=goal)).faces) == len(holed.faces)
+    assert ghost_surface(drawing(goal=goal, is_solved=True)) is None
+    assert len(mark_surface(drawing(goal=goal, is_solved=True)).faces) > 0
+    rope = Tube(np.array([[0.0, 0.0, 0.01], [0.1, 0.0, 0.01]]), 0.01)
+    assert np.ptp(ghost_surface(drawing(goal=rope, is_solved=True)).vertices[:, 1]) > 0.025
 
 
 def test_shadows_lie_on_the_table_away_from_the_light():

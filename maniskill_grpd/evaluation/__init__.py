@@ -1,0 +1,31 @@
+"""Statistics, studies, tables and plots. Knows policies and results, not tasks: environments are made by the scripts.
+
+The claims of the paper are tested by `studies`, each a few lines of declaration. A study expands to runs (`study.Run`), whose
+folders `records` reads into the rows of `results`; `study_data` picks what answers a study, `claim` compares it with the paper,
+`tables`, `plots` and `pages` show it.
+"""
+
+from maniskill_grpd.evaluation.observation_noise import NoisyObserver
+from maniskill_grpd.evaluation.statistics import (
+    bootstrap_interval,
+    interquartile_mean,
+    performance_profile,
+    probability_of_improvement,
+)
+from maniskill_grpd.evaluation.studies import STUDIES, find_study
+from maniskill_grpd.evaluation.study import Arm, Condition, Run, Study, Task
+
+__all__ = [
+    "STUDIES",
+    "Arm",
+    "Condition",
+    "NoisyObserver",
+    "Run",
+    "Study",
+    "Task",
+    "bootstrap_interval",
+    "find_study",
+    "interquartile_mean",
+    "performance_profile",
+    "probability_of_improvement",
+]

@@ -1,0 +1,117 @@
+"""Pages of results: one for each study and one that sums them up, written from the data and from nothing else."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from maniskill_grpd.evaluation.claim import MIN_RUNS
+from maniskill_grpd.evaluation.metrics import METRICS
+from maniskill_grpd.evaluation.plots import PLOTS
+from maniskill_grpd.evaluation.results import load_results
+from maniskill_grpd.evaluation.studies import STUDIES
+from maniskill_grpd.evaluation.study import Study
+from maniskill_grpd.evaluation.study_data import StudyData
+from maniskill_grpd.evaluation.tables import NOT_RUN, claim_table, markdown_table, score_table
+
+DATA_FOLDER = "data"
+"""Folder of the CSV files, beside the pages."""
+NOTES_FOLDER = "notes"
+"""Folder of what people wrote about a page, beside the pages; a page ends with its note."""
+
+READING = f"""\
+*figure here*: interquartile mean over seeds of each side, compared as the paper's figure is; *95 % interval*: stratified
+bootstrap, runs resampled within each task; *P(better)*: probability that a run of the first side scores more than one of the
+other. A claim holds or does not hold where the whole interval is on one side of what the claim needs: the right sign where it
+compares two arms, else the bound it names, or 85 % kept where the paper names none. With fewer than {MIN_RUNS} seeds, or an
+interval across that bound, it is undecided."""
+
+
+def write_study_page(study: Study, folder: Path, budget: int | None = None) -> Path:
+    """Write the page of a study and its pictures.
+
+    Args:
+        study: The study.
+        folder: Where pages go; its folder `data` holds the CSV files.
+        budget: Environment steps of the runs to compare; None: for each task the largest there are.
+
+    Returns:
+        The page, {study}.md; pictures lie beside it as {study}_{kind}.png.
+    """
+    data = StudyData(study, load_results(folder / DATA_FOLDER), budget)
+    parts = [f"# {study.title}", study.question, _provenance(data)]
+    if study.claims:
+        parts += ["## Claims", claim_table((claim, data.finding(claim)) for claim in study.claims), READING]
+    for metric in study.metrics:
+        shown = METRICS[metric]
+        parts += [f"## {shown.label.capitalize()}", f"{shown.meaning.capitalize()}.", score_table(data, metric)]
+    pictures = [_draw(data, kind, folder) for kind in study.plots]
+    parts += [f"![{path.stem}]({path.name})" for path in pictures if path is not None]
+    return _write(folder, study.name, parts)
+
+
+def write_summary_page(folder: Path, budget: int | None = None) -> Path:
+    """Write README.md: the state of every study, and every claim of the paper with what the data say."""
+    results = load_results(folder / DATA_FOLDER)
+    studies = [["study", "about", "runs finished", "failed", "claims that hold", "that do not", "undecided", NOT_RUN]]
+    claims = []
+    for study in STUDIES.values():
+        data = StudyData(study, results, budget)
+        findings = [(claim, data.finding(claim)) for claim in study.claims]
+        verdicts = Counter(finding.verdict for _, finding in findings)
+        states = Counter(results.state(run) for task in study.tasks for run in data.runs(task))
+        counts = [states["finished"], states["failed"]]
+        counts += [verdicts[verdict] for verdict in ("holds", "does not hold", "undecided", "not run")]
+        studies.append([f"[{study.name}]({study.name}.md)", study.title, *map(str, counts)])
+        if findings:
+            claims += [f"### [{study.title}]({study.name}.md)", claim_table(findings)]
+    parts = [
+        "# Results",
+        "Every study of the paper, from the same data as the pages of the studies. " + _command("all"),
+        markdown_table(studies, num_text_columns=2),
+        "## Claims of the paper",
+        READING,
+        *claims,
+    ]
+    return _write(folder, "README", parts)
+
+
+def _provenance(data: StudyData) -> str:
+    """Say what the page is made of."""
+    runs = [run for task in data.study.tasks for run in data.runs(task)]
+    rows = [data.results.runs[run.name] for run in runs]
+    sentences = [_command(data.study.name)]
+    if data.study.trained_by:
+        sentences.append(f"Checkpoints are those of [{data.study.trained_by}]({data.study.trained_by}.md).")
+    if not rows:
+        return " ".join([*sentences, "**Not run.**"])
+    states = Counter(data.results.state(run) for run in runs)
+    sentences.append(f"{states['finished']} runs finished, {states['failed']} failed.")
+    devices = sorted({row.get("device_name") or row.get("device") or "unknown" for row in rows})
+    commits = sorted({row.get("commit", "")[:12] or "unknown" for row in rows})
+    sentences.append(f"Device: {', '.join(devices)}. Commit: {', '.join(commits)}.")
+    return " ".join(sentences)
+
+
+def _command(study: str) -> str:
+    return f"Written by `python baselines/ablate.py --study {study} --report --results docs/results`; not edited by hand."
+
+
+def _draw(data: StudyData, kind: str, folder: Path) -> Path | None:
+    path = folder / f"{data.study.name}_{kind}.png"
+    figure = PLOTS[kind](data)
+    if figure is None:
+        path.unlink(missing_ok=True)  # a picture of data that are no longer there would mislead
+        return None
+    figure.savefig(path)
+    return path
+
+
+def _write(folder: Path, name: str, parts: Iterable[str]) -> Path:
+    note = folder / NOTES_FOLDER / f"{name}.md"
+    parts = [*parts, *([note.read_text(encoding="utf-8").strip()] if note.exists() else [])]
+    path = folder / f"{name}.md"
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    return path

@@ -1,0 +1,110 @@
+"""What the folder of a run tells, as rows of plain values."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maniskill_grpd.evaluation.curves import Curve, mean_over_training
+from maniskill_grpd.learning.run_log import read_rows
+
+Row = dict[str, Any]
+
+CURVE_METRICS = ("return", "success_once", "success_at_end")
+"""Scores of the evaluations during training that are kept."""
+TEST_FOLDER = "tests"
+"""Folder of a run in which each test leaves a file."""
+
+
+def run_row(name: str, run_dir: Path, state: str) -> Row:
+    """Return what determined a run and what its training came to.
+
+    Args:
+        name: Name of the run.
+        run_dir: Its folder.
+        state: "finished" or "failed".
+
+    Returns:
+        One row: identity, every option as JSON, machine, versions, commit and the metrics of training (see `training_metrics`).
+        A run that failed before it had begun has little to tell.
+    """
+    row: Row = {"run": name, "state": state}
+    record_path = run_dir / "config.json"
+    if not record_path.exists():
+        return row
+    record = json.loads(record_path.read_text(encoding="utf-8"))
+    config, git = record["config"], record["git"] or {}
+    row |= {
+        "env_id": config["env_id"],
+        "policy": config["policy"],
+        "algorithm": config["algorithm"],
+        "seed": config["seed"],
+        "budget": config["total_timesteps"],
+        "config": json.dumps(config, sort_keys=True),
+        "device": record["device"],
+        "device_name": record["device_name"],
+        "python": record["python"],
+        "versions": json.dumps(record["versions"], sort_keys=True),
+        "commit": git.get("commit", ""),
+        "dirty": git.get("dirty", ""),
+    }
+    return row | training_metrics(read_rows(run_dir / "metrics.jsonl"))
+
+
+def training_metrics(rows: Iterable[Row]) -> Row:
+    """Return metrics of a whole training from its log.
+
+    Returns:
+        `training_return`: mean over the training of the return in evaluations; `iteration_seconds`, `update_seconds` and
+        `rollout_seconds`: medians over iterations; `kl`: mean over iterations of the mean KL(new || old) of the policy that acts
+        [nats]. Those whose data are not there are left out.
+    """
+    rows = list(rows)
+    train = [row for row in rows if row["kind"] == "train"]
+    metrics: Row = {}
+    curve = _curve([row for row in rows if row["kind"] == "eval"], "eval/return")
+    if curve is not None:
+        metrics["training_return"] = mean_over_training(curve)
+    updates, rollouts = ([row[f"time/{part}_time"] for row in train] for part in ("update", "rollout"))
+    if train:
+        metrics["iteration_seconds"] = statistics.median(u + r for u, r in zip(updates, rollouts, strict=True))
+        metrics["update_seconds"] = statistics.median(updates)
+        metrics["rollout_seconds"] = statistics.median(rollouts)
+    divergences = [row.get("losses/kl_projected", row.get("losses/kl_raw")) for row in train]
+    if divergences and None not in divergences:
+        metrics["kl"] = statistics.fmean(divergences)
+    return metrics
+
+
+def curve_rows(name: str, run_dir: Path) -> Iterator[Row]:
+    """Yield a row for each evaluation during the training of a run."""
+    for row in read_rows(run_dir / "metrics.jsonl", "eval"):
+        scores = {metric: row[f"eval/{metric}"] for metric in CURVE_METRICS if f"eval/{metric}" in row}
+        yield {"run": name, "step": row["global_step"], **scores}
+
+
+def test_rows(name: str, run_dir: Path) -> Iterator[Row]:
+    """Yield a row for each test of a run: condition, episodes and the mean of every metric over them, or why it failed."""
+    for path in sorted((run_dir / TEST_FOLDER).glob("*.json")):
+        test = json.loads(path.read_text(encoding="utf-8"))
+        yield {
+            "run": name,
+            "condition": test["condition"],
+            "sigma": test["sigma"],
+            "env_kwargs": json.dumps(test["env_kwargs"], sort_keys=True),
+            "num_episodes": test["num_episodes"],
+            "first_seed": test["first_seed"],
+            "global_step": test["global_step"],
+            "error": test.get("error", ""),
+            **test.get("mean", {}),
+        }
+
+
+def _curve(rows: list[Row], tag: str) -> Curve | None:
+    points = [(row["global_step"], row[tag]) for row in rows if tag in row]
+    return Curve(*np.array(points, float).T) if points else None

@@ -1,0 +1,132 @@
+"""The part of the results that answers a study."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from maniskill_grpd.evaluation.claim import Claim, Finding, Side, judge
+from maniskill_grpd.evaluation.curves import Curve
+from maniskill_grpd.evaluation.results import Results
+from maniskill_grpd.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
+from maniskill_grpd.evaluation.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task
+
+BOOTSTRAP_SEED = 0
+"""Every interval starts from this seed, so that a page written twice from the same data is the same."""
+
+
+class StudyData:
+    """Scores of a study.
+
+    Per task only runs of one budget are compared: the given one, or else the largest that has been run.
+
+    Args:
+        study: The study.
+        results: All results.
+        budget: Environment steps of the runs; None: the largest there are.
+    """
+
+    def __init__(self, study: Study, results: Results, budget: int | None = None) -> None:
+        self.study = study
+        self.results = results
+        budgets = [study.budget or budget] if study.budget or budget else _distinct(results, "budget")[::-1]
+        self._runs = {task.name: self._find_runs(task, budgets, _distinct(results, "seed")) for task in study.tasks}
+
+    def runs(self, task: Task) -> list[Run]:
+        """Return the runs on a task that are in the results, finished or failed."""
+        return self._runs[task.name]
+
+    def _find_runs(self, task: Task, budgets: Sequence[int], seeds: Sequence[int]) -> list[Run]:
+        """Return the runs of the first of several budgets that has any."""
+        for budget in budgets:
+            found = [run for run in self.study.runs(budget, seeds) if run.task == task and run.name in self.results.runs]
+            if found:
+                return found
+        return []
+
+    def budget(self, task: Task) -> int | None:
+        """Return the environment steps of the runs on a task; None if there are none."""
+        runs = self.runs(task)
+        return runs[0].budget if runs else None
+
+    def seeds(self, task: Task) -> tuple[int, int]:
+        """Return the smallest and the largest number of finished runs of an arm on a task."""
+        counts = [len(self.finished(task, arm)) for arm in self.study.arms]
+        return min(counts), max(counts)
+
+    def finished(self, task: Task, arm: Arm) -> list[Run]:
+        """Return the finished runs of an arm on a task, by seed."""
+        return [run for run in self.runs(task) if run.arm == arm and self.results.state(run) == "finished"]
+
+    def has_failed(self, task: Task, arm: Arm, condition: str) -> bool:
+        """Return whether a run of the arm on the task has failed, or its test under the condition."""
+        runs = [run for run in self.runs(task) if run.arm == arm]
+        tests = [self.results.tests.get((run.name, condition), {}) for run in runs]
+        return any(self.results.state(run) == "failed" for run in runs) or any(test.get("error") for test in tests)
+
+    def scores(self, task: Task, arm: Arm, condition: str, metric: str) -> dict[int, float]:
+        """Return the score of each finished run under a condition, by seed."""
+        values = {run.seed: self.results.score(run, metric, condition) for run in self.finished(task, arm)}
+        return {seed: value for seed, value in values.items() if value is not None}
+
+    def curves(self, task: Task, arm: Arm, metric: str) -> list[Curve]:
+        """Return the learning curves of the finished runs of an arm on a task."""
+        curves = [self.results.curve(run, metric) for run in self.finished(task, arm)]
+        return [curve for curve in curves if curve is not None]
+
+    def summary(self, task: Task, arm: Arm, condition: str, metric: str) -> tuple[float, Interval] | None:
+        """Return the interquartile mean over seeds and its interval; None if nothing has been run."""
+        return summarize([np.array(list(self.scores(task, arm, condition, metric).values()))])
+
+    def pooled(self, arm: Arm, metric: str) -> list[np.ndarray] | None:
+        """Return the scores of an arm under the first condition of every task; None if a task is missing."""
+        strata = [np.array(list(self.scores(task, arm, first_condition(task), metric).values())) for task in self.study.tasks]
+        return strata if all(len(stratum) for stratum in strata) else None
+
+    def finding(self, claim: Claim) -> Finding:
+        """Compare a claim with the data."""
+        ours, theirs = self._side(claim.ours, claim.metric), self._side(claim.theirs, claim.metric)
+        if ours is None or theirs is None:
+            return Finding("not run")
+        if claim.is_paired:
+            both = [sorted(x.keys() & y.keys()) for x, y in zip(ours, theirs, strict=True)]
+            ours, theirs = ([{s: x[s] for s in seeds} for x, seeds in zip(side, both, strict=True)] for side in (ours, theirs))
+        arrays = [[np.array(list(scores.values())) for scores in side] for side in (ours, theirs)]
+        if not all(len(runs) for side in arrays for runs in side):
+            return Finding("not run")
+        return judge(claim, *arrays, np.random.default_rng(BOOTSTRAP_SEED))
+
+    def _side(self, side: Side, metric: str) -> list[dict[int, float]] | None:
+        """Return the scores by seed on each task of a side, averaged over its conditions; None if something is missing."""
+        (arm,) = (arm for arm in self.study.arms if arm.name == side.arm)
+        tasks = [task for task in self.study.tasks if side.task in (None, task.name)]
+        strata = [self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in tasks]
+        return strata if all(strata) else None
+
+    def _mean_scores(self, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> dict[int, float]:
+        tests = [self.scores(task, arm, condition, metric) for condition in conditions]
+        seeds = sorted(set.intersection(*(set(scores) for scores in tests)))
+        return {seed: float(np.mean([scores[seed] for scores in tests])) for seed in seeds}
+
+
+def first_condition(task: Task) -> str:
+    """Return the name of the condition that a task is tested under where nothing else is said."""
+    return task.conditions[0].name if task.conditions else AS_TRAINED_NAME
+
+
+def conditions_of(task: Task) -> tuple[Condition, ...]:
+    """Return the conditions of a task; one, as trained, for a task that is not tested at all."""
+    return task.conditions or (Condition(),)
+
+
+def summarize(strata: Sequence[np.ndarray]) -> tuple[float, Interval] | None:
+    """Return the interquartile mean of scores (R,) of each task and its interval; None if a task has none."""
+    if not all(len(stratum) for stratum in strata):
+        return None
+    generator = np.random.default_rng(BOOTSTRAP_SEED)
+    return float(interquartile_mean(np.concatenate(strata))), bootstrap_interval(strata, generator=generator)
+
+
+def _distinct(results: Results, column: str) -> list[int]:
+    return sorted({int(row[column]) for row in results.runs.values() if row.get(column)})

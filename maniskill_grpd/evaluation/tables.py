@@ -1,0 +1,86 @@
+"""Markdown tables of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from maniskill_grpd.evaluation.claim import Claim, Finding
+from maniskill_grpd.evaluation.metrics import METRICS
+from maniskill_grpd.evaluation.statistics import Interval
+from maniskill_grpd.evaluation.study import AS_TRAINED, Arm, Task
+from maniskill_grpd.evaluation.study_data import StudyData, conditions_of, summarize
+
+NOT_RUN = "not run"
+FAILED = "failed"
+
+
+def score_table(data: StudyData, metric: str) -> str:
+    """Return a table of one metric: a row for each task and condition, a column for each arm.
+
+    Cells hold the interquartile mean over seeds and its 95 % interval, "not run" or "failed". If every arm has been run on
+    every one of several tasks, a last row pools them as trained.
+    """
+    arms = data.study.arms
+    rows = [["task", "condition", "steps", "seeds", *(arm.name for arm in arms)]]
+    for task in data.study.tasks:
+        for condition in conditions_of(task):
+            cells = [score_cell(data, task, arm, condition.name, metric) for arm in arms]
+            rows.append([task.name, condition.name, _budget(data, task), _seeds(data, task), *cells])
+    pooled = [data.pooled(arm, metric) for arm in arms]
+    if len(data.study.tasks) > 1 and all(pooled) and not METRICS[metric].is_time:
+        cells = [format_summary(summarize(strata), METRICS[metric].decimals) for strata in pooled]
+        rows.append(["all tasks", AS_TRAINED.name, "", "", *cells])
+    return markdown_table(rows, num_text_columns=2)
+
+
+def score_cell(data: StudyData, task: Task, arm: Arm, condition: str, metric: str) -> str:
+    """Return the text of one cell."""
+    summary = data.summary(task, arm, condition, metric)
+    if summary is not None:
+        return format_summary(summary, METRICS[metric].decimals)
+    return FAILED if data.has_failed(task, arm, condition) else NOT_RUN
+
+
+def claim_table(claims: Iterable[tuple[Claim, Finding]]) -> str:
+    """Return a table that sets the paper's figures beside ours."""
+    rows = [["claim", "on", "paper", "figure there", "figure here", "95 % interval", "seeds", "P(better)", "verdict"]]
+    for claim, finding in claims:
+        tasks = dict.fromkeys(side.task or "all tasks" for side in (claim.ours, claim.theirs))
+        rows.append([claim.text, " against ".join(tasks), claim.source, claim.paper, *_finding_cells(claim, finding)])
+    return markdown_table(rows, num_text_columns=3)
+
+
+def _finding_cells(claim: Claim, finding: Finding) -> list[str]:
+    if finding.verdict == "not run":
+        return ["-", "-", "0", "-", NOT_RUN]
+    low, high = finding.interval
+    interval = f"{claim.format(low)} to {claim.format(high)}" if np.isfinite([low, high]).all() else "-"
+    better = f"{finding.better:.2f}" if claim.measure in ("gain", "difference") else "-"
+    return [claim.format(finding.value), interval, str(finding.num_runs), better, finding.verdict]
+
+
+def format_summary(summary: tuple[float, Interval] | None, decimals: int) -> str:
+    """Return "mean [low, high]", without an interval where there is none."""
+    if summary is None:
+        return NOT_RUN
+    value, (low, high) = summary
+    text = f"{value:.{decimals}f}"
+    return f"{text} [{low:.{decimals}f}, {high:.{decimals}f}]" if np.isfinite([low, high]).all() else text
+
+
+def markdown_table(rows: Sequence[Sequence[str]], num_text_columns: int) -> str:
+    """Return rows, the first of which is the head, as a Markdown table; columns after the first few are aligned right."""
+    alignment = ["---" if column < num_text_columns else "--:" for column in range(len(rows[0]))]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [rows[0], alignment, *rows[1:]])
+
+
+def _budget(data: StudyData, task: Task) -> str:
+    budget = data.budget(task)
+    return NOT_RUN if budget is None else f"{budget:,}"
+
+
+def _seeds(data: StudyData, task: Task) -> str:
+    low, high = data.seeds(task)
+    return str(low) if low == high else f"{low} to {high}"

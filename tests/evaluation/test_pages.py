@@ -1,0 +1,117 @@
+"""Tables, pictures and pages, from synthetic results."""
+
+import dataclasses
+
+import pytest
+from matplotlib.image import imread
+from synthetic_results import EASY, HARD, OURS, STUDY, THEIRS, results_of, run_of, write_results
+
+from maniskill_grpd.evaluation import STUDIES
+from maniskill_grpd.evaluation.pages import write_study_page, write_summary_page
+from maniskill_grpd.evaluation.results import Results
+from maniskill_grpd.evaluation.study_data import StudyData
+from maniskill_grpd.evaluation.tables import claim_table, format_summary, score_table
+
+SEEDS = (1, 2, 3)
+
+
+@pytest.fixture
+def results():
+    """Ours 60, 62, 64 and half of it under noise; theirs 30, 31, 32 on the easy task; nothing of theirs on the hard one."""
+    scores = {}
+    for seed in SEEDS:
+        scores[run_of(EASY, OURS, seed)] = {"as trained": 58.0 + 2 * seed, "sigma=0.1": 29.0 + seed}
+        scores[run_of(EASY, THEIRS, seed)] = {"as trained": 29.0 + seed, "sigma=0.1": 10.0}
+        scores[run_of(HARD, OURS, seed)] = {"as trained": 20.0}
+    return results_of(scores, failed=(run_of(HARD, THEIRS),))
+
+
+def rows_of(table):
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+
+
+def test_cells_hold_mean_and_interval_or_say_why_not(results):
+    rows = rows_of(score_table(StudyData(STUDY, results), "return"))
+    assert rows[0] == ["task", "condition", "steps", "seeds", "ours", "theirs"]
+    assert rows[2] == ["Easy-v1", "as trained", "1,000", "3", "62.0 [60.0, 64.0]", "31.0 [30.0, 32.0]"]
+    assert rows[3] == ["Easy-v1", "sigma=0.1", "1,000", "3", "31.0 [30.0, 32.0]", "10.0 [10.0, 10.0]"]
+    assert rows[4] == ["Hard-v1", "as trained", "1,000", "0 to 3", "20.0 [20.0, 20.0]", "failed"]
+    assert len(rows) == 5
+
+
+def test_all_tasks_are_pooled_once_every_arm_has_run_on_them(results):
+    scores = {run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
+              for task in (EASY, HARD) for arm in (OURS, THEIRS) for seed in SEEDS}  # fmt: skip
+    rows = rows_of(score_table(StudyData(STUDY, results_of(scores)), "return"))
+    assert rows[-1] == ["all tasks", "as trained", "", "", "30.0 [30.0, 30.0]", "30.0 [30.0, 30.0]"]
+
+
+def test_claims_stand_beside_the_paper(results):
+    data = StudyData(STUDY, results)
+    rows = rows_of(claim_table((claim, data.finding(claim)) for claim in STUDY.claims))
+    better, keeps, everywhere = rows[2:]
+    assert better[:5] == ["Better", "Easy-v1", "I", "+50 %", "+100 %"]
+    assert better[-3:] == ["3", "1.00", "holds"]
+    assert keeps[3:6] == ["85 %", "0.50x", "0.50x to 0.50x"]
+    assert keeps[-1] == "does not hold"
+    assert everywhere[-1] == "not run"
+
+
+def test_what_has_not_been_run_is_said_to_be_so():
+    data = StudyData(STUDY, Results({}, {}, {}))
+    assert all(row[-2:] == ["not run", "not run"] for row in rows_of(score_table(data, "return"))[2:])
+    assert data.finding(STUDY.claims[0]).verdict == "not run"
+
+
+def test_only_runs_of_one_budget_are_compared_by_default_the_largest():
+    scores = {run_of(EASY, OURS, 1, 1000): {"as trained": 1.0}, run_of(EASY, OURS, 1, 2000): {"as trained": 2.0},
+              run_of(EASY, THEIRS, 1, 1000): {"as trained": 3.0}}  # fmt: skip
+    results = results_of(scores)
+    largest, given = StudyData(STUDY, results), StudyData(STUDY, results, 1000)
+    assert (largest.budget(EASY), given.budget(EASY)) == (2000, 1000)
+    assert largest.scores(EASY, OURS, "as trained", "return") == {1: 2.0}
+    assert largest.scores(EASY, THEIRS, "as trained", "return") == {}
+    assert given.scores(EASY, THEIRS, "as trained", "return") == {1: 3.0}
+
+
+def test_one_seed_has_no_interval():
+    data = StudyData(STUDY, results_of({run_of(EASY, OURS): {"as trained": 7.0}}))
+    assert format_summary(data.summary(EASY, OURS, "as trained", "return"), 1) == "7.0"
+
+
+def test_a_page_has_tables_and_pictures_and_comes_out_the_same_twice(results, tmp_path):
+    write_results(tmp_path / "data", results)
+    page = write_study_page(STUDY, tmp_path)
+    text = page.read_text()
+    for part in ("# Toy", "3 runs", "## Claims", "## Success", "## Return", "not edited by hand"):
+        assert part.replace("3 runs", "9 runs finished, 1 failed") in text
+    for kind in ("bars", "curves", "lines", "heat_map"):
+        assert f"(toy_{kind}.png)" in text
+        picture = imread(tmp_path / f"toy_{kind}.png")
+        assert picture[..., :3].std() > 0.02  # not blank
+    first = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    write_study_page(STUDY, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == first
+
+
+def test_profile_needs_every_task(results, tmp_path):
+    write_results(tmp_path / "data", results)
+    assert "(toy_profile.png)" in write_study_page(STUDY, tmp_path).read_text()  # ours is complete
+    incomplete = dataclasses.replace(STUDY, arms=(THEIRS,), claims=())
+    assert "(toy_profile.png)" not in write_study_page(incomplete, tmp_path).read_text()
+    assert not (tmp_path / "toy_profile.png").exists()
+
+
+def test_notes_are_added_at_the_end(tmp_path):
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "toy.md").write_text("It rained.\n")
+    assert write_study_page(STUDY, tmp_path).read_text().endswith("\n\nIt rained.\n")
+
+
+def test_the_summary_lists_every_study_and_every_claim(tmp_path):
+    text = write_summary_page(tmp_path).read_text()
+    for study in STUDIES.values():
+        assert f"[{study.name}]({study.name}.md)" in text
+        for claim in study.claims:
+            assert f"| {claim.text} |" in text
+    assert text.count("| not run |") >= sum(len(study.claims) for study in STUDIES.values())

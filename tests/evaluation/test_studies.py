@@ -1,0 +1,150 @@
+"""The declared studies are sound: names are unique, claims speak of what is there, runs can be configured."""
+
+import dataclasses
+import itertools
+
+import pytest
+from random_graphs import SCHEMA
+
+from maniskill_grpd.evaluation import STUDIES, Arm, Condition, Run, Task, find_study
+from maniskill_grpd.evaluation.metrics import METRICS
+from maniskill_grpd.evaluation.plots import PLOTS
+from maniskill_grpd.evaluation.study import combine, to_pairs, with_noise, with_option
+from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.policies import make_policy
+
+ALL = pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
+
+
+def knows_options_of(study):
+    fields = {field.name for field in dataclasses.fields(TrainConfig)}
+    return all(set(arm.train_options) <= fields for arm in study.arms)
+
+
+def test_every_claim_of_the_design_has_a_study():
+    training = {"main", "equivariance", "heterogeneity", "bpp_vs_ppo", "unseen_shapes", "pose_range", "trust_region", "decoder"}
+    assert set(STUDIES) == training | {"noise", "resolution", "grippers", "cost"}
+
+
+@ALL
+def test_names_are_unique(study):
+    assert len({task.name for task in study.tasks}) == len(study.tasks)
+    assert len({arm.name for arm in study.arms}) == len(study.arms)
+    for task in study.tasks:
+        assert len({condition.name for condition in task.conditions}) == len(task.conditions)
+
+
+@ALL
+def test_claims_speak_of_arms_tasks_conditions_and_metrics_that_are_there(study):
+    for claim, side in itertools.product(study.claims, ("ours", "theirs")):
+        place = getattr(claim, side)
+        assert place.arm in {arm.name for arm in study.arms}
+        tasks = [task for task in study.tasks if place.task in (None, task.name)]
+        assert tasks
+        for task in tasks:
+            assert set(place.conditions) <= {condition.name for condition in task.conditions}
+        assert claim.metric in METRICS
+
+
+@ALL
+def test_metrics_and_plots_are_known(study):
+    assert set(study.metrics) <= set(METRICS)
+    assert set(study.plots) <= set(PLOTS)
+    assert (study.factor is not None) == ("lines" in study.plots)
+
+
+@ALL
+def test_every_run_has_its_own_folder_and_a_valid_configuration(study):
+    if not knows_options_of(study):
+        pytest.skip("an option of the trainer that this version does not have")
+    runs = list(study.runs(1_000_000, (1, 2)))
+    assert len({run.name for run in runs}) == len(runs) == 2 * len(study.tasks) * len(study.arms)
+    for run in runs:
+        config = run.train_config()
+        assert config.num_iterations >= 1
+        assert "/" not in run.name
+        assert len(run.name) < 200
+        make_policy(run.arm.policy, SCHEMA, **config.policy_options)
+
+
+@ALL
+def test_arms_differ_in_nothing_but_what_they_name(study):
+    if not knows_options_of(study):
+        pytest.skip("an option of the trainer that this version does not have")
+    for task in study.tasks:
+        configs = [run.train_config() for run in study.runs(1_000_000, (1,)) if run.task == task]
+        for config, arm in zip(configs, study.arms, strict=True):
+            same = {"exp_name": None, "policy": "grpd", "policy_kwargs": (), "algorithm": "bpp"}
+            same |= {name: getattr(TrainConfig(), name) for name in arm.train_options}
+            assert dataclasses.replace(config, **same) == dataclasses.replace(configs[0], **same)
+
+
+@ALL
+def test_checkpoints_that_are_tested_are_those_of_a_study_that_trains(study):
+    if study.trained_by is None:
+        return
+    trained = {run.name for run in find_study(study.trained_by).runs(1000, (1,))}
+    assert {run.name for run in study.runs(1000, (1,))} <= trained
+
+
+def test_studies_share_runs():
+    def names(study):
+        return {run.name for run in STUDIES[study].runs(1000, (1,))}
+
+    assert names("heterogeneity") < names("main")
+    assert names("bpp_vs_ppo") & names("main")
+    assert names("pose_range") & names("main")
+
+
+def test_a_run_is_named_by_all_that_determines_it():
+    run = Run(task=Task(env_id="T-v1", options={"shapes": ["a", "b"], "n": 3}), arm=Arm(name="x"), seed=2, budget=500)
+    assert run.name == "T-v1,n=3,shapes=a+b__grpd__bpp__500__s2"
+    for change in ({"seed": 3}, {"budget": 600}, {"train_options": {"gamma": 0.9}}, {"arm": Arm(name="x", algorithm="ppo")}):
+        assert dataclasses.replace(run, **change).name != run.name
+    assert dataclasses.replace(run, arm=Arm(name="y")).name == run.name
+
+
+def test_a_training_is_evaluated_twenty_times():
+    run = next(STUDIES["main"].runs(1_000_000, (1,)))
+    config = run.train_config()
+    assert config.num_iterations // config.eval_freq in range(20, 24)
+    assert next(STUDIES["main"].runs(20_000, (1,))).train_config().eval_freq == 1
+
+
+def test_conditions_combine():
+    both = combine(with_option("resolution", 81, graph_nodes=None), with_noise(0.05))
+    assert both.name == "resolution=81, sigma=0.05"
+    assert both.env_options == {"resolution": 81, "graph_nodes": None}
+    assert both.sigma == 0.05
+    assert Condition().name == with_noise(0.0).name == "as trained"
+
+
+def test_factors_of_a_task_are_those_of_the_condition_or_of_the_training():
+    task = Task(env_id="T-v1", options={"resolution": 41})
+    assert task.factor("resolution") == 41
+    assert task.factor("resolution", with_option("resolution", 81)) == 81
+    assert task.factor("sigma") == 0.0
+    assert task.factor("pose_range") == "full"
+
+
+def test_options_become_pairs_that_the_command_line_reads():
+    assert to_pairs({"n": 3, "shapes": ["a"], "nodes": None, "name": "x"}) == ("n=3", 'shapes=["a"]', "nodes=null", 'name="x"')
+    config = TrainConfig(env_kwargs=to_pairs({"shapes": ["a"], "nodes": None}))
+    assert config.env_options == {"shapes": ["a"], "nodes": None}
+
+
+def test_what_does_not_exist_is_refused_with_what_does():
+    with pytest.raises(ValueError, match="unknown study 'nose'; there are main, .*noise"):
+        find_study("nose")
+    with pytest.raises(ValueError, match="has no task Foo; it has ClothFolding-v1, "):
+        STUDIES["main"].restricted(["Foo"], [])
+    with pytest.raises(ValueError, match="has no arm bar; it has empn, grpd"):
+        STUDIES["main"].restricted([], ["bar"])
+
+
+def test_a_study_can_be_restricted():
+    part = STUDIES["main"].restricted(["RopeShaping-v1"], ["grpd", "empn"])
+    assert [run.name.split("__")[:2] for run in part.runs(1000, (1,))] == [
+        ["RopeShaping-v1,graph_nodes=21,resolution=41", "grpd"],
+        ["RopeShaping-v1,graph_nodes=21,resolution=41", "empn"],
+    ]
