@@ -8,8 +8,8 @@ from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.tasks import ClothFoldingEnv
 
-SLACK = (0.2, 0.7)
-"""How far the path departs from the circle towards the diamond at its start and at its end."""
+SLACK = 0.6
+"""How far the path departs from a circle, on which the cloth is taut, towards a diamond, on which it hangs straight down."""
 
 
 class ClothFoldingExpert(Expert):
@@ -18,15 +18,17 @@ class ClothFoldingExpert(Expert):
     In the plane through gripper v across the crease, with x its distance beyond the crease and z its height above its goal's
     level, the path is
 
-        (x, z) = d_v rho(a) (cos a, sin a),   rho(a) = 1 - s + s / (|cos a| + |sin a|),   s = 0.2 + 0.25 (1 - cos a)
+        (x, z) = d_v (1 - s + s / (|cos a| + |sin a|)) (cos a, sin a),   s = 0.6
 
     from the angle a = 0, where the gripper starts, at the distance d_v from the crease, to a = pi, its goal. With s = 0 it is a
-    circle, on which the cloth stays taut and pulls the resting half along in the second quarter; with s = 1 it is a diamond, on
+    circle, on which the cloth stays taut and pulls the resting half along in the second quarter. With s = 1 it is a diamond, on
     which the cloth hangs straight down from the gripper and is laid down where it is (van den Berg, Miller, Goldberg and Abbeel,
-    Gravity-based robotic cloth folding, WAFR 2010). Going up steeply first keeps a stiff cloth from being pushed.
+    Gravity-based robotic cloth folding, WAFR 2010), but starts by pushing a cloth that is too stiff to bend at once.
 
     The angle is read from the present state, the mean over the grippers so that they move in step, and the target is the point
     of the path as far ahead as the outermost gripper gets in one step. At pi it stays: the gripper holds the fold.
+
+    Limitations: a resting half that has been dragged away is not brought back. LIMITS
 
     Symmetry: equivariant under rigid motions of the scene with its table.
     """
@@ -66,6 +68,4 @@ def _angles(offset: torch.Tensor, normal: torch.Tensor, up: torch.Tensor) -> tor
 
 def _path_radius(angle: torch.Tensor) -> torch.Tensor:
     """Return the distance of the path from the crease, as a share of that of its ends, by the angle [rad]."""
-    start, end = SLACK
-    slack = start + (end - start) * 0.5 * (1.0 - angle.cos())
-    return 1.0 - slack + slack / (angle.cos().abs() + angle.sin().abs())
+    return 1.0 - SLACK + SLACK / (angle.cos().abs() + angle.sin().abs())
