@@ -104,11 +104,14 @@ def make_run_name(config: TrainConfig) -> str:
     return f"{config.env_id}__{config.policy}_{config.algorithm}__{config.seed}__{int(time.time())}"
 
 
-def write_run_record(run_dir: Path, config: TrainConfig, device: torch.device) -> None:
+def write_run_record(
+    run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1
+) -> None:
     """Write config.json: options, versions, commit, machine; enough to make the run again."""
     record = {
         "config": config.to_dict(),
         "command": sys.argv,
+        "num_processes": num_processes,
         "device": str(device),
         "device_name": torch.cuda.get_device_name(device)
         if device.type == "cuda"

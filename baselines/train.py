@@ -5,23 +5,33 @@ python baselines/train.py --env_id RopeShaping-v1 --policy grpd --algorithm bpp 
 
 Everything goes to runs/{exp_name}/: config.json, metrics.jsonl, TensorBoard events, last.pt, best_ckpt.pt, final_ckpt.pt,
 learning_curve.png and a video. A run that was stopped goes on with --resume runs/{exp_name}.
+
+One process per core is the fast way on a CPU; num_envs is then shared among the processes:
+
+torchrun --nproc_per_node=2 baselines/train.py --env_id RopeShaping-v1 --exp_name two_processes
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 import tyro
+from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from plot_learning_curve import plot_learning_curve
 from record_video import record_video
 from run_setup import make_run_name, make_vector_env, read_run_config, write_run_record
 
 from maniskill_grpd.learning import CheckpointError, NonFiniteError, TrainConfig, Trainer
+from maniskill_grpd.learning.allocator import keep_freed_memory
+from maniskill_grpd.learning.workers import Workers, join_workers, leave_workers
 from maniskill_grpd.policies import make_policy
 
 RUNS = Path("runs")
@@ -44,40 +54,70 @@ def train(config: TrainConfig) -> Path:
     Raises:
         FileExistsError: If the folder already holds a run that is not to be resumed.
     """
-    run_dir = Path(config.resume) if config.resume else RUNS / make_run_name(config)
+    device = choose_device(config.sim_backend)
+    workers = join_workers(device)
+    run_dir = Path(config.resume) if config.resume else RUNS / workers.gather(make_run_name(config))[0]
     if not config.resume and (run_dir / "config.json").exists():
         raise FileExistsError(
             f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name"
         )
-    trainer = make_trainer(config, run_dir)
+    trainer = make_trainer(config, run_dir, workers)
     if config.resume:
         trainer.load(run_dir / "last.pt")
     elif config.checkpoint:
         trainer.load_weights(config.checkpoint)
-    write_run_record(run_dir, config, trainer.envs.device)
+    if workers.is_first:
+        write_run_record(run_dir, config, trainer.envs.device, workers.size)
     trainer.train()
-    finish(trainer)
+    if workers.is_first:
+        finish(trainer)
     return run_dir
 
 
-def make_trainer(config: TrainConfig, run_dir: Path) -> Trainer:
+def choose_device(sim_backend: str) -> torch.device:
+    """Return where this process computes; the processes of one machine each take a GPU of their own."""
+    if sim_backend == "cpu" or not torch.cuda.is_available():
+        return torch.device("cpu")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+    torch.cuda.set_device(device)
+    return device
+
+
+def make_trainer(config: TrainConfig, run_dir: Path, workers: Workers | None = None) -> Trainer:
     """Make environments, an untrained policy and the trainer."""
-    envs = make_vector_env(config, config.num_envs, partial_reset=config.partial_reset)
-    eval_envs = (
-        make_vector_env(config, config.num_eval_envs, partial_reset=False)
-        if config.eval_freq
-        else None
-    )
+    workers = workers or Workers()
+    local = workers.share("num_envs", config.num_envs)
+    envs = make_vector_env(config, local, partial_reset=config.partial_reset)
+    eval_envs = None
+    if config.eval_freq and workers.is_first:
+        eval_envs = make_vector_env(config, config.num_eval_envs, partial_reset=False)
     torch.manual_seed(config.seed)
-    policy = make_policy(config.policy, envs.unwrapped.graph_schema, **config.policy_options).to(
-        envs.device
-    )
+    options = fit_policy_options(config.policy_options, envs)
+    policy = make_policy(config.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
     size = sum(parameter.numel() for parameter in policy.parameters())
-    print(
-        f"{config.env_id}: {config.num_envs} environments on {envs.device}; policy {config.policy} with {size:,} "
-        f"parameters; {config.algorithm}, {config.num_iterations} iterations of {config.batch_size:,} steps; {run_dir}"
-    )
-    return Trainer(config, policy, envs, eval_envs, run_dir)
+    if workers.is_first:
+        print(
+            f"{config.env_id}: {config.num_envs} environments on {envs.device} in {workers.size} process(es); policy "
+            f"{config.policy} with {size:,} parameters; {config.algorithm}, {config.num_iterations} iterations of "
+            f"{config.batch_size:,} steps; {run_dir}"
+        )
+    return Trainer(config, policy, envs, eval_envs, run_dir, workers)
+
+
+def fit_policy_options(options: dict[str, Any], envs: ManiSkillVectorEnv) -> dict[str, Any]:
+    """Give the policy a gripper output exactly where the task takes one.
+
+    Raises:
+        ValueError: If the options say otherwise.
+    """
+    has_grippers = envs.unwrapped.control_mode == "pd_ee_delta_pos_grip"
+    if options.get("gripper", has_grippers) != has_grippers:
+        takes = "opens and closes grippers" if has_grippers else "has fixed grasps"
+        raise ValueError(
+            f"policy_kwargs says gripper={json.dumps(options['gripper'])} but the task {takes}; leave it out, or "
+            'choose with --env_kwargs grasp=free (or grasp=fixed)'
+        )
+    return {**options, "gripper": has_grippers} if has_grippers else options
 
 
 def finish(trainer: Trainer) -> None:
@@ -105,6 +145,7 @@ def parse_config(arguments: Sequence[str]) -> TrainConfig:
 
 def main(arguments: Sequence[str]) -> int:
     """Train; report what the user can mend in one line instead of a traceback."""
+    keep_freed_memory()
     try:
         run_dir = train(parse_config(arguments))
     except (ValueError, OSError, CheckpointError, NonFiniteError) as error:
@@ -113,6 +154,8 @@ def main(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         print("stopped; --resume continues the run from its last checkpoint", file=sys.stderr)
         return 130
+    finally:
+        leave_workers()
     print(f"done: python baselines/evaluate.py --checkpoint {run_dir / 'final_ckpt.pt'}")
     return 0
 

@@ -8,9 +8,9 @@ import json
 from pathlib import Path
 
 import gymnasium as gym
-import imageio.v3 as imageio
 import numpy as np
 import torch
+from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the task)
 from maniskill_grpd.learning import load_checkpoint
@@ -45,7 +45,8 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, required=True, help="file to write")
     arguments = parser.parse_args()
     arguments.picture.parent.mkdir(parents=True, exist_ok=True)
-    imageio.imwrite(arguments.picture, draw_episodes(arguments.checkpoint)[::2, ::2])
+    picture = Image.fromarray(draw_episodes(arguments.checkpoint))
+    picture.reduce(2).save(arguments.picture, optimize=True)
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ ALLOWED = {
     "agents": {"agents", "physics"},
     "tasks": {"tasks", "agents", "graphs", "physics"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
+    "trajectory": {"tasks"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
 FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning", "evaluation"}

@@ -18,12 +18,12 @@ class ClothFoldingExpert(Expert):
     In the plane through gripper v across the crease, with x its distance beyond the crease and z its height above its goal's
     level, the path is
 
-        (x, z) = d_v rho(a) (cos a, sin a),   rho(a) = 1 - s + s / (|cos a| + |sin a|),   s = 0.35 (1 - cos a)
+        (x, z) = d_v rho(a) (cos a, sin a),   rho(a) = 1 - s + s / (|cos a| + |sin a|),   s = 0.2 + 0.25 (1 - cos a)
 
     from the angle a = 0, where the gripper starts, at the distance d_v from the crease, to a = pi, its goal. With s = 0 it is a
     circle, on which the cloth stays taut and pulls the resting half along in the second quarter; with s = 1 it is a diamond, on
-    which the cloth hangs straight down from the gripper and is laid down where it is (van den Berg et al. 2010, Gravity-based
-    robotic cloth folding, doi:10.1007/978-3-642-17452-0_24). Going up steeply first keeps a stiff cloth from being pushed.
+    which the cloth hangs straight down from the gripper and is laid down where it is (van den Berg, Miller, Goldberg and Abbeel,
+    Gravity-based robotic cloth folding, WAFR 2010). Going up steeply first keeps a stiff cloth from being pushed.
 
     The angle is read from the present state, the mean over the grippers so that they move in step, and the target is the point
     of the path as far ahead as the outermost gripper gets in one step. At pi it stays: the gripper holds the fold.

@@ -28,6 +28,8 @@ BLEND = 0.1
 """Height over which keeping away from the axis changes into coming to it [m]."""
 TURNING_BACK = (-0.08, -0.06)
 """Heights before the hanger between which a cloth that is not on it goes back [m]; not at once, as the seat lags behind."""
+INSIDE = (0.03, 0.06)
+"""Distances from the axis below which a cloth that comes down is centred, and above which it goes away from the hanger [m]."""
 READY_ASIDE = (0.015, 0.035)
 """Distances from the axis below which the cloth comes onto the hanger, and above which it waits [m]."""
 READY_ANGLE = (0.15, 0.3)
@@ -51,23 +53,23 @@ RELEASE_SPEED = 0.15
 class ClothHangingExpert(Expert):
     r"""Carries the frame of the grippers like a rigid body to the front of the hanger and over it.
 
-    The rotation of the frame is fitted to the grippers. Let m be the place of the middle of the seat in that frame (not of the real
-    seat, which bounces), p the tip of the peg and a its axis, h = (m - p) . a the height of m before the tip and r its distance from
-    the axis. The frame is turned by the smallest rotation that makes its normal parallel to a or -a, while m goes
+    The rotation of the frame is fitted to the grippers. Let m be the place of the middle of the seat in that frame (not of the
+    real seat, which bounces), p the tip of the peg and a its axis, h = (m - p) . a the height of m before the tip and r its
+    distance from the axis. The frame is turned by the smallest rotation that makes its normal parallel to a or -a, while m goes
 
         behind the tip (h < 8 cm)      away from the axis to r = 45 cm, then along the peg to h = 8 cm,
         before it                      to r = 0 at h = 8 cm,
         centred (r < 1.5 cm) and turned (within 9 degrees), or threaded      down to h = -16 cm.
 
-    Transitions are blended; there are no phases and no memory. All grippers are slowed down by the same factor, so that the frame
-    stays rigid and none moves more than 3 cm.
+    Transitions are blended; there are no phases and no memory. All grippers are slowed down by the same factor, so that the
+    frame stays rigid and none moves more than 3 cm.
 
     Over a bar the same is done with a the upward direction and p the middle of the bar, give or take 5 cm along it; the frame is
-    turned by the smallest rotation after which x or y of the flat cloth is parallel to the bar, and once the cloth lies on the bar
-    the grippers go down on both sides of it, to half the width of the cloth. With `release` they open when the cloth hangs and has
+    turned by the smallest rotation after which x or y of the flat cloth is parallel to the bar, and once the cloth lies on it
+    the grippers go down on both sides, to half the width of the cloth. With `release` they open when the cloth hangs and has
     come to rest.
 
-    Limitations: holes beside the triangle or quadrilateral of the grippers sag out of the frame (three grippers on a square).
+    Limitations: a hole on the edge of the triangle of three grippers sags out of the frame (square, rectangle and circle).
 
     Symmetry: equivariant under rigid motions of the scene with its gravity.
     """
@@ -153,7 +155,8 @@ def _shift_to_hanger(
     outward = outward / aside.clamp(min=1e-6)[:, None]
     is_before = 1.0 - _falling(height, *TURNING_BACK)
     ready = torch.where(is_on, 1.0, is_before * _falling(aside, *READY_ASIDE) * _falling(angle, *READY_ANGLE))
-    behind = (1.0 - ready) * ((FRONT - height) / BLEND).clamp(0.0, 1.0)
+    inside = torch.where(is_on, 1.0, is_before * _falling(aside, *INSIDE))
+    behind = (1.0 - inside) * ((FRONT - height) / BLEND).clamp(0.0, 1.0)
     free = 1.0 - behind * _falling(aside, clearance - NARROW, clearance - WIDE)
     target = (1.0 - ready) * FRONT - ready * depth
     shift = (behind * clearance - aside)[:, None] * outward + (free * (target - height))[:, None] * axis

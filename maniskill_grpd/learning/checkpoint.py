@@ -18,14 +18,18 @@ _KEYS = {
     "policy": "what rebuilds the policy: its `config`, plain types",
     "weights": "state_dict of the policy, normaliser included",
     "optimizer": "state_dict of the optimizer",
+    "algorithm": "state of the algorithm itself, such as multipliers",
     "value_scale": "statistics of the returns",
     "generators": "states of the random generators",
     "train_config": "TrainConfig.to_dict()",
     "iteration": "finished iterations",
     "global_step": "environment steps taken",
-    "best_score": "[success_at_end, return] of best_ckpt.pt, None before the first evaluation",
+    "best_score": "[best_metric, return] of best_ckpt.pt, None before the first evaluation",
 }
 
+
+_LATER_KEYS: dict[str, Any] = {"algorithm": {}}
+"""What entries that older checkpoints lack stand at in those."""
 
 _UNREADABLE = (
     RuntimeError,
@@ -54,6 +58,7 @@ def save_checkpoint(path: str | os.PathLike[str], contents: dict[str, Any]) -> N
         OSError: If the file cannot be written, because the disk is full for example. What was
             there before is untouched.
     """
+    contents = {**_LATER_KEYS, **contents}
     if set(contents) != set(_KEYS):
         raise ValueError(f"a checkpoint holds {sorted(_KEYS)}, got {sorted(contents)}")
     buffer = io.BytesIO()
@@ -78,7 +83,7 @@ def load_checkpoint(
         device: Where its tensors go.
 
     Returns:
-        The entries `policy`, `weights`, `optimizer`, `value_scale`, `generators`, `train_config`,
+        The entries `policy`, `weights`, `optimizer`, `algorithm`, `value_scale`, `generators`, `train_config`,
         `iteration`, `global_step` and `best_score`.
 
     Raises:
@@ -106,6 +111,7 @@ def load_checkpoint(
         raise CheckpointError(
             f"{path} has checkpoint version {contents.get('version')}, this package reads {VERSION}"
         )
+    contents = {**_LATER_KEYS, **contents}
     missing = sorted(set(_KEYS) - set(contents))
     if missing:
         raise CheckpointError(f"{path} lacks {', '.join(missing)}")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 import torch
 
 from maniskill_grpd.learning.finite import check_finite, check_graph_finite
 from maniskill_grpd.learning.rollout import Graph, Rollout
+from maniskill_grpd.learning.update import autocast_policy
 from maniskill_grpd.learning.value_scale import ValueScale
+from maniskill_grpd.learning.workers import Workers
 
 
 class Collector:
@@ -20,11 +24,29 @@ class Collector:
     Args:
         envs: Vector environment whose observations hold a graph under the key "graph".
         num_steps: Steps of a rollout.
+        disturb: Changes what the policy sees, called as disturb(graph, generator); by default
+            nothing is changed.
+        workers: The processes whose episodes are counted together.
+        amp: Whether the policy computes in bfloat16, as in the updates.
+
+    Attributes:
+        env_seconds: Time the environments took in the last rollout [s].
     """
 
-    def __init__(self, envs: Any, num_steps: int) -> None:
+    def __init__(
+        self,
+        envs: Any,
+        num_steps: int,
+        disturb: Callable[[Graph, torch.Generator], Graph] | None = None,
+        workers: Workers | None = None,
+        amp: bool = False,
+    ) -> None:
         self.envs = envs
+        self._disturb = disturb or (lambda graph, generator: graph)
+        self._workers = workers or Workers()
+        self._amp = amp
         self.num_steps = num_steps
+        self.env_seconds = 0.0
         self.rollout: Rollout | None = None
         self._graph: Graph | None = None
 
@@ -62,36 +84,40 @@ class Collector:
             NonFiniteError: If an observation, reward or action is not finite.
         """
         episodes = EpisodeMetrics()
-        graph = self._graph
+        self.env_seconds = 0.0
+        graph = self._disturb(self._graph, generator)
         for step in range(self.num_steps):
             place = f"{where}, step {step}"
-            dist, output = policy(graph)
+            dist, output = autocast_policy(policy, graph, self._amp)
             action = dist.sample(generator=generator)
             log_prob = dist.log_prob(action)
             _check_decision(graph, log_prob, output, place)
             rollout = self._storage(graph, dist)
             rollout.store_graph(step, graph)
-            rollout.actions[step] = action
-            rollout.means[step], rollout.stds[step] = dist.mean, dist.std
-            rollout.log_probs[step] = log_prob
+            rollout.store_decision(step, dist, action, log_prob)
             rollout.values[step] = value_scale.denormalize(output)
 
+            start = time.perf_counter()
             obs, reward, terminated, truncated, info = self.envs.step(action)
-            graph = obs["graph"]
+            self.env_seconds += time.perf_counter() - start
+            self._graph = obs["graph"]
+            graph = self._disturb(self._graph, generator)
             check_finite("the reward", reward, place)
             rollout.rewards[step] = reward
             rollout.terminated[step], rollout.truncated[step] = terminated, truncated
             if "_final_info" in info:
                 episodes.add(info["final_info"], info["_final_info"])
-            _store_final_values(rollout, step, info, policy, value_scale)
+            if rollout.truncated[step].any():
+                final = self._disturb(info["final_observation"]["graph"], generator)
+                values = value_scale.denormalize(policy.value(final))
+                rollout.final_values[step] = torch.where(rollout.truncated[step], values, 0.0)
         check_graph_finite(graph, f"{where}, after the last step")
         rollout.next_value.copy_(value_scale.denormalize(policy.value(graph)))
-        self._graph = graph
-        return rollout, episodes.means()
+        return rollout, episodes.means(self._workers)
 
     def _storage(self, graph: Graph, dist: Any) -> Rollout:
         if self.rollout is None:
-            self.rollout = Rollout(self.num_steps, graph, dist.mean, dist.std)
+            self.rollout = Rollout(self.num_steps, graph, dist)
         return self.rollout
 
 
@@ -115,9 +141,16 @@ class EpisodeMetrics:
             total = value[ended].double().sum().item()
             self._sums[key] = self._sums.get(key, 0.0) + total
 
-    def means(self) -> dict[str, float]:
-        """Return the mean of each metric; nothing if no episode ended."""
-        return {key: total / self._count for key, total in self._sums.items()}
+    def means(self, workers: Workers) -> dict[str, float]:
+        """Return the mean of each metric over the processes; nothing if no episode ended."""
+        sums, count = self._sums, self._count
+        if workers.size > 1:
+            # Episodes may have ended in some of the processes only.
+            parts = workers.gather((sums, count))
+            count = sum(number for _, number in parts)
+            names = dict.fromkeys(name for part, _ in parts for name in part)
+            sums = {name: sum(part.get(name, 0.0) for part, _ in parts) for name in names}
+        return {key: total / count for key, total in sums.items()}
 
 
 def float_metrics(info: dict[str, Any]) -> dict[str, torch.Tensor]:
@@ -139,14 +172,3 @@ def _check_decision(graph: Graph, log_prob: torch.Tensor, output: torch.Tensor, 
     check_graph_finite(graph, place)
     check_finite("the action of the policy", log_prob, place)
     check_finite("the value of the policy", output, place)
-
-
-def _store_final_values(
-    rollout: Rollout, step: int, info: dict[str, Any], policy: Any, value_scale: ValueScale
-) -> None:
-    """Evaluate the last observation of episodes that a time limit cut."""
-    if not rollout.truncated[step].any():
-        return
-    final = info["final_observation"]["graph"]
-    values = value_scale.denormalize(policy.value(final))
-    rollout.final_values[step] = torch.where(rollout.truncated[step], values, 0.0)

@@ -9,8 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from maniskill_grpd.learning.schedule import SCHEDULES, scheduled
+
 ALGORITHMS = ("bpp", "ppo")
 """Names `TrainConfig.algorithm` may take."""
+
+TRUST_REGIONS = ("projection", "lagrangian", "fisher")
+"""Names `TrainConfig.trust_region` may take."""
+
+BEST_METRICS = ("success_at_end", "success_once", "return")
+"""Names `TrainConfig.best_metric` may take."""
 
 RESUMABLE_FIELDS = frozenset(
     {
@@ -63,7 +71,7 @@ class TrainConfig:
     env_kwargs: tuple[str, ...] = ()
     """options of the task as key=value pairs, values in JSON: --env_kwargs num_grippers=2 shapes='["U"]'"""
     num_envs: int = 64
-    """number of environments that collect in parallel"""
+    """number of environments that collect in parallel, over all processes"""
     num_eval_envs: int = 16
     """number of environments, and of episodes, of each evaluation during training"""
     partial_reset: bool = False
@@ -76,19 +84,33 @@ class TrainConfig:
     """iterations between checkpoints, after each of which all environments are reset"""
     sim_backend: str = "auto"
     """where the simulation runs: auto (cuda if there is a GPU), cpu or cuda"""
+    best_metric: str = "success_at_end"
+    """evaluation metric that chooses best_ckpt.pt: success_at_end, success_once or return (which also breaks ties)"""
+    position_noise: float = 0.0
+    """standard deviation of noise on observed positions during training, per axis [m]"""
+    velocity_noise: float = 0.0
+    """standard deviation of noise on observed velocities during training, per axis [m/s]"""
 
     policy: str = "grpd"
     """name of the policy"""
     policy_kwargs: tuple[str, ...] = ()
     """options of the policy as key=value pairs, values in JSON: --policy_kwargs hidden_dim=64"""
     algorithm: str = "bpp"
-    """bpp (trust-region projection) or ppo (clipping)"""
+    """bpp (KL trust region) or ppo (clipping)"""
+    trust_region: str = "projection"
+    """bpp: projection (differentiable), lagrangian (dual ascent) or fisher (natural gradient with line search)"""
+    compile: bool = False
+    """compile the policy for updates; pays in long runs, the first update then takes minutes"""
+    amp: bool = False
+    """matrix products of the policy in bfloat16; CUDA only"""
     total_timesteps: int = 1_000_000
     """environment steps of the whole run, over all environments"""
     learning_rate: float = 5e-4
     """step size of Adam"""
     anneal_lr: bool = False
-    """let the learning rate fall linearly to zero"""
+    """let the learning rate fall linearly to zero, the same as --lr_schedule linear"""
+    lr_schedule: str = "constant"
+    """way of the learning rate to zero: constant (stays), linear or cosine"""
     gamma: float = 0.99
     """discount"""
     gae_lambda: float = 0.95
@@ -101,16 +123,32 @@ class TrainConfig:
     """normalise advantages within each minibatch"""
     ent_coef: float = 0.0
     """weight of the entropy bonus"""
+    ent_schedule: str = "constant"
+    """way of that weight to zero: constant (stays), linear or cosine"""
+    entropy_floor: float | None = None
+    """projection: smallest entropy of an actuator's Gaussian [nats]; 2.2 at the initial deviation of 0.5, -1 at 0.17"""
+    entropy_floor_final: float | None = None
+    """projection: where the floor has come linearly by the end; by default it stays"""
     vf_coef: float = 0.5
     """weight of the value loss"""
     max_grad_norm: float = 1.0
     """largest norm of the gradient"""
     mean_bound: float = 0.05
-    """bpp: largest mean part of the KL of an actuator per iteration [nats]"""
+    """bpp: largest mean part of the KL of an actuator per iteration [nats]; on average for lagrangian, fisher"""
     cov_bound: float = 0.005
     """bpp: largest covariance part of the KL of an actuator per iteration [nats]"""
+    gripper_bound: float = 0.01
+    """bpp: largest KL of an actuator's gripper per iteration [nats], in tasks with free grasps"""
     trust_region_coef: float = 1.0
-    """bpp: weight of the loss that draws the policy to its projection"""
+    """projection: weight of the loss that draws the policy to its projection"""
+    dual_step: float = 0.5
+    """lagrangian: step of the dual ascent on the logarithm of a multiplier, per iteration"""
+    max_multiplier: float = 100.0
+    """lagrangian: largest multiplier; the smallest is its inverse"""
+    fisher_samples: int = 1024
+    """fisher: transitions the Fisher matrix is estimated with"""
+    fisher_damping: float = 0.1
+    """fisher: multiple of the identity added to the Fisher matrix"""
     clip_coef: float = 0.2
     """ppo: clipping of the probability ratio"""
     target_kl: float | None = None
@@ -121,10 +159,8 @@ class TrainConfig:
     """most graphs in one forward pass, larger minibatches accumulate gradients; 0: 256 on a CPU, all on a GPU"""
 
     def __post_init__(self) -> None:
-        if self.algorithm not in ALGORITHMS:
-            raise ValueError(
-                f"algorithm must be one of {', '.join(ALGORITHMS)}, got {self.algorithm!r}"
-            )
+        self._check_names()
+        self._check_contradictions()
         self._check_ranges()
         self._check_sizes()
         # Fail now, not when the environment is made.
@@ -145,6 +181,19 @@ class TrainConfig:
     def num_iterations(self) -> int:
         """Rollouts of the whole run."""
         return self.total_timesteps // self.batch_size
+
+    def coefficients(self, iteration: int) -> Coefficients:
+        """Return what the schedules say after a number of finished iterations."""
+        progress = iteration / self.num_iterations
+        lr_schedule = "linear" if self.anneal_lr else self.lr_schedule
+        floor = self.entropy_floor
+        if floor is not None and self.entropy_floor_final is not None:
+            floor = scheduled("linear", floor, self.entropy_floor_final, progress)
+        return Coefficients(
+            learning_rate=scheduled(lr_schedule, self.learning_rate, 0.0, progress),
+            ent_coef=scheduled(self.ent_schedule, self.ent_coef, 0.0, progress),
+            entropy_floor=floor,
+        )
 
     @property
     def env_options(self) -> dict[str, Any]:
@@ -174,18 +223,71 @@ class TrainConfig:
             raise ValueError(f"unknown option(s) {', '.join(unknown)}; known: {sorted(known)}")
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
 
+    def _check_names(self) -> None:
+        choices = {
+            "algorithm": ALGORITHMS,
+            "trust_region": TRUST_REGIONS,
+            "lr_schedule": SCHEDULES,
+            "ent_schedule": SCHEDULES,
+            "best_metric": BEST_METRICS,
+        }
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
+                )
+
+    def _check_contradictions(self) -> None:
+        is_projection = self.algorithm == "bpp" and self.trust_region == "projection"
+        is_fisher = self.algorithm == "bpp" and self.trust_region == "fisher"
+        found = {
+            "--resume continues a run and --checkpoint starts a new one; give one of them": (
+                self.resume and self.checkpoint
+            ),
+            f"--trust_region {self.trust_region} belongs to --algorithm bpp, not to ppo": (
+                self.algorithm == "ppo" and self.trust_region != "projection"
+            ),
+            f"--anneal_lr is linear, --lr_schedule says {self.lr_schedule}; give one of them": (
+                self.anneal_lr and self.lr_schedule == "cosine"
+            ),
+            "--ent_schedule changes --ent_coef, which is 0; set it too": (
+                self.ent_schedule != "constant" and not self.ent_coef
+            ),
+            "--entropy_floor works with --algorithm bpp --trust_region projection only": (
+                self.entropy_floor is not None and not is_projection
+            ),
+            "--entropy_floor_final needs --entropy_floor, where it starts from": (
+                self.entropy_floor_final is not None and self.entropy_floor is None
+            ),
+            "--target_kl ends minibatch updates early; --trust_region fisher has a line search": (
+                self.target_kl is not None and is_fisher
+            ),
+            "--compile has no second derivatives, which --trust_region fisher needs; drop one": (
+                self.compile and is_fisher
+            ),
+        }
+        for message, is_wrong in found.items():
+            if is_wrong:
+                raise ValueError(message)
+
     def _check_ranges(self) -> None:
         positive = (
             "torch_threads num_envs num_eval_envs num_steps checkpoint_freq total_timesteps "
             "learning_rate num_minibatches update_epochs max_grad_norm mean_bound cov_bound "
-            "clip_coef"
+            "gripper_bound clip_coef dual_step fisher_samples fisher_damping"
         )
         for name in positive.split():
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise ValueError(f"{name} must be positive, got {value}")
-        for name in ("seed", "eval_freq", "chunk_size", "ent_coef", "vf_coef", "trust_region_coef"):
-            if not getattr(self, name) >= 0:
+        if not 1.0 < self.max_multiplier < math.inf:
+            raise ValueError(f"max_multiplier must be above 1, got {self.max_multiplier}")
+        not_negative = (
+            "seed eval_freq chunk_size ent_coef vf_coef trust_region_coef position_noise "
+            "velocity_noise"
+        )
+        for name in not_negative.split():
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
         for name in ("gamma", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
@@ -208,6 +310,15 @@ class TrainConfig:
                 f"total_timesteps = {self.total_timesteps} is less than one iteration of "
                 f"num_envs * num_steps = {self.batch_size} steps; raise it or lower those"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coefficients:
+    """What changes from iteration to iteration."""
+
+    learning_rate: float
+    ent_coef: float
+    entropy_floor: float | None
 
 
 def parse_options(name: str, pairs: tuple[str, ...]) -> dict[str, Any]:

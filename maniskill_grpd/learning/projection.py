@@ -64,6 +64,21 @@ def project_gaussian(
     _check_bound("mean_bound", mean_bound)
     _check_bound("cov_bound", cov_bound)
     _check_gaussians(mean, std, old_mean, old_std)
+    return project_unchecked(
+        mean, std, old_mean, old_std, mean_bound=mean_bound, cov_bound=cov_bound
+    )
+
+
+def project_unchecked(
+    mean: torch.Tensor,
+    std: torch.Tensor,
+    old_mean: torch.Tensor,
+    old_std: torch.Tensor,
+    *,
+    mean_bound: float,
+    cov_bound: float,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Do the work of `project_gaussian`, whose checks each wait for the device."""
     projected_mean = _project_mean(mean, old_mean, old_std, mean_bound)
     if std.shape[-1] == 1:
         return projected_mean, _project_isotropic(std, old_std, mean.shape[-1], cov_bound)
@@ -90,6 +105,13 @@ def gaussian_kl_parts(
         ValueError: If shapes do not fit or a standard deviation is not positive.
     """
     _check_gaussians(mean, std, old_mean, old_std)
+    return kl_parts_unchecked(mean, std, old_mean, old_std)
+
+
+def kl_parts_unchecked(
+    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Do the work of `gaussian_kl_parts`, whose checks each wait for the device."""
     return _kl_mean(mean, old_mean, old_std), _kl_cov(std, old_std, mean.shape[-1])
 
 

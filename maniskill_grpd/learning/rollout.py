@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
+
+from maniskill_grpd.policies import ActionDistribution
 
 Graph = dict[str, Any]
 """A nested dictionary of tensors that share their leading dimensions."""
 
 
 def map_graph(function: Callable[[torch.Tensor], torch.Tensor], graph: Graph) -> Graph:
-    """Apply a function to every tensor of a nested dictionary."""
-    return {
-        key: map_graph(function, value) if isinstance(value, dict) else function(value)
-        for key, value in graph.items()
-    }
+    """Apply a function to every tensor of a nested dictionary; None stays None."""
+
+    def apply(value: Any) -> Any:
+        if isinstance(value, dict):
+            return map_graph(function, value)
+        return None if value is None else function(value)
+
+    return {key: apply(value) for key, value in graph.items()}
 
 
 def graph_items(graph: Graph, prefix: str = "") -> Iterator[tuple[str, torch.Tensor]]:
@@ -36,17 +41,43 @@ class Batch:
     graph: Graph
     """Raw observation graphs, leading dimension M."""
     actions: torch.Tensor
-    """Actions that were taken, (M, A * 3)."""
+    """Actions that were taken, (M, A * 3), or (M, A * 4) with grippers."""
     log_probs: torch.Tensor
     """Log probabilities of the actions under the old policy, (M,)."""
     old_mean: torch.Tensor
     """Action means of the old policy, (M, A, 3)."""
     old_std: torch.Tensor
     """Action standard deviations of the old policy, (M, A, 1) or (M, A, 3)."""
+    old_gripper_logits: torch.Tensor | None = None
+    """Log-odds of closed grippers under the old policy, (M, A); None without grippers."""
     advantages: torch.Tensor
     """Advantages, normalised if so configured, (M,)."""
     returns: torch.Tensor
     """Value targets in the units of the rewards, (M,)."""
+
+    def __len__(self) -> int:
+        """Number M of transitions."""
+        return self.actions.shape[0]
+
+    def split(self, size: int) -> list[Batch]:
+        """Split into batches of nearly equal size, at most `size`, as views."""
+        count = -(-len(self) // size)
+        if count == 1:
+            return [self]
+        edges = [len(self) * i // count for i in range(count + 1)]
+        return [self._slice(start, end) for start, end in zip(edges, edges[1:], strict=False)]
+
+    def select(self, index: torch.Tensor) -> Batch:
+        """Gather some of the transitions, int64 positions (m,)."""
+        return self.map(lambda tensor: tensor.index_select(0, index))
+
+    def _slice(self, start: int, end: int) -> Batch:
+        return self.map(lambda tensor: tensor[start:end])
+
+    def map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
+        """Apply a function to every tensor, those of the graph included."""
+        tensors = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return Batch(**map_graph(function, tensors))
 
 
 class Rollout:
@@ -55,23 +86,24 @@ class Rollout:
     Args:
         num_steps: T.
         graph: An observation graph of the environments, (B, ...) per tensor: gives shapes and device.
-        mean: An action mean, (B, A, 3).
-        std: An action standard deviation, (B, A, 1) or (B, A, 3).
+        dist: The policy there: gives shapes of means, deviations and grippers.
     """
 
-    def __init__(self, num_steps: int, graph: Graph, mean: torch.Tensor, std: torch.Tensor) -> None:
+    def __init__(self, num_steps: int, graph: Graph, dist: ActionDistribution) -> None:
         def like(tensor: torch.Tensor) -> torch.Tensor:
             return tensor.new_empty((num_steps, *tensor.shape))
 
-        num_envs, num_actuators, action_dim = mean.shape
-        scalars = mean.new_zeros(num_envs)
+        num_envs = dist.mean.shape[0]
+        scalars = dist.mean.new_zeros(num_envs)
         self.num_steps = num_steps
         self.num_envs = num_envs
         self.graph = map_graph(like, graph)
-        self.actions = mean.new_empty((num_steps, num_envs, num_actuators * action_dim))
-        self.means, self.stds = like(mean), like(std)
+        self.actions = like(dist.mode)
+        self.means, self.stds = like(dist.mean), like(dist.std)
+        logits = dist.gripper_logits
+        self.gripper_logits = None if logits is None else like(logits)
         self.log_probs, self.rewards, self.values = like(scalars), like(scalars), like(scalars)
-        self.final_values = mean.new_zeros((num_steps, num_envs))
+        self.final_values = scalars.new_zeros((num_steps, num_envs))
         self.terminated, self.truncated = like(scalars.bool()), like(scalars.bool())
         self.next_value = scalars.clone()
         self.advantages, self.returns = like(scalars), like(scalars)
@@ -90,6 +122,15 @@ class Rollout:
                     f"observation graph: {name} must stay {tuple(storage.shape[1:])}, got {found}"
                 )
             storage[step].copy_(given[name])
+
+    def store_decision(
+        self, step: int, dist: ActionDistribution, action: torch.Tensor, log_prob: torch.Tensor
+    ) -> None:
+        """Copy what the policy did in one step: its distribution, an action (B, ...), its density."""
+        self.actions[step], self.log_probs[step] = action, log_prob
+        self.means[step], self.stds[step] = dist.mean, dist.std
+        if self.gripper_logits is not None:
+            self.gripper_logits[step] = dist.gripper_logits
 
     def flat_graph(self) -> Graph:
         """Return the graphs of all transitions as views, (T * B, ...) per tensor."""
@@ -111,6 +152,7 @@ class Rollout:
             log_probs=pick(self.log_probs),
             old_mean=pick(self.means),
             old_std=pick(self.stds),
+            old_gripper_logits=None if self.gripper_logits is None else pick(self.gripper_logits),
             advantages=pick(self.advantages),
             returns=pick(self.returns),
         )

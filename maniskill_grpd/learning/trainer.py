@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +13,18 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from maniskill_grpd.learning.algorithm import make_algorithm
-from maniskill_grpd.learning.checkpoint import (
-    CheckpointError,
-    describe_differences,
-    load_checkpoint,
-    restore_policy,
-    save_checkpoint,
-)
+from maniskill_grpd.learning.checkpoint import save_checkpoint
 from maniskill_grpd.learning.collector import Collector
-from maniskill_grpd.learning.config import RESUMABLE_FIELDS, TrainConfig
+from maniskill_grpd.learning.config import TrainConfig
 from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.gae import generalized_advantages
+from maniskill_grpd.learning.normalizer_update import update_normalizer
+from maniskill_grpd.learning.observation_noise import ObservationNoise
 from maniskill_grpd.learning.rollout import Rollout
 from maniskill_grpd.learning.run_log import RunLog
-from maniskill_grpd.learning.update import update_policy
-from maniskill_grpd.learning.value_scale import ValueScale
+from maniskill_grpd.learning.training_state import TrainingState
+from maniskill_grpd.learning.update import Learner
+from maniskill_grpd.learning.workers import Workers
 
 FIRST_TRAINING_SEED = 2**30
 """Environments are trained on seeds from here up, so that no seed below is ever trained on."""
@@ -39,7 +37,7 @@ class Trainer:
     """Trains a policy on a vector environment.
 
     Checkpoints in `run_dir`: `last.pt` every `checkpoint_freq` iterations, `best_ckpt.pt` after the
-    evaluation with the highest (success_at_end, return), `final_ckpt.pt` at the end.
+    evaluation with the highest (best_metric, return), `final_ckpt.pt` at the end.
 
     A resumed run continues bit for bit (same machine, same thread count) as if it had never been
     broken. The state of the simulation is not stored for that: after every checkpoint, in broken
@@ -54,12 +52,22 @@ class Trainer:
     Args:
         config: Options.
         policy: See `maniskill_grpd.policies.make_policy`. Changed in place.
-        envs: Vector environment with same-step reset and `config.num_envs` environments.
-        eval_envs: Vector environment to evaluate in, None for no evaluation.
+        envs: Vector environment with same-step reset and this process's share of
+            `config.num_envs` environments.
+        eval_envs: Vector environment to evaluate in, None for no evaluation; only the first process
+            evaluates.
         run_dir: Folder for checkpoints and logs; made if missing.
+        workers: The processes that train together; by default this one.
+
+    Attributes:
+        state: What a checkpoint holds.
+        times: Seconds by phase of the last iteration: rollout, env (its share of the rollout), update,
+            eval, checkpoint; what did not happen is missing.
+        last_evaluation: Metrics of the last evaluation by tag.
 
     Raises:
-        ValueError: If `envs` has another number of environments than the config.
+        ValueError: If `envs` has another number of environments than the config, sizes cannot be
+            shared evenly among the processes, or the device lacks what the config asks for.
     """
 
     def __init__(
@@ -69,32 +77,34 @@ class Trainer:
         envs: Any,
         eval_envs: Any | None = None,
         run_dir: str | Path = "runs/default",
+        workers: Workers | None = None,
     ) -> None:
-        if envs.num_envs != config.num_envs:
-            raise ValueError(f"num_envs is {config.num_envs} but envs has {envs.num_envs}")
         self.config = config
         self.policy = policy
         self.envs = envs
         self.eval_envs = eval_envs
         self.run_dir = Path(run_dir)
-        self.iteration = 0
-        self.best_score: list[float] | None = None
+        self.workers = workers or Workers()
         self.last_evaluation: dict[str, float] = {}
-        self._device = next(policy.parameters()).device
-        self._algorithm = make_algorithm(config)
-        self._optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5)
-        self._value_scale = ValueScale()
-        self._collector = Collector(envs, config.num_steps)
-        self._generators = {
-            "action": torch.Generator(self._device).manual_seed(config.seed),
-            "minibatch": torch.Generator().manual_seed(config.seed),
-        }
+        self._check_fit()
+        self.state = TrainingState.fresh(config, policy, self.workers)
+        self._learner = Learner(
+            policy=policy,
+            optimizer=self.state.optimizer,
+            value_scale=self.state.value_scale,
+            config=config,
+            generator=self.state.generators["minibatch"],
+            workers=self.workers,
+        )
+        noise = config.position_noise, config.velocity_noise
+        disturb = None
+        if any(noise):
+            disturb = ObservationNoise(
+                schema=policy.schema, position_std=noise[0], velocity_std=noise[1]
+            )
+        self._collector = Collector(envs, config.num_steps, disturb, self.workers, config.amp)
+        self.times: dict[str, float] = {}
         self._is_resumed = False
-
-    @property
-    def global_step(self) -> int:
-        """Environment steps trained on so far, over all environments."""
-        return self.iteration * self.config.batch_size
 
     def train(self) -> dict[str, float]:
         """Train up to `total_timesteps`.
@@ -106,105 +116,94 @@ class Trainer:
             NonFiniteError: If an observation, reward or gradient is not finite.
             OSError: If a checkpoint cannot be written.
         """
-        self._prepare()
-        progress = tqdm(
-            total=self.config.num_iterations * self.config.batch_size,
-            initial=self.global_step,
-            unit="step",
-            dynamic_ncols=True,
-            # In a log file every refresh is a line.
-            mininterval=0.5 if sys.stderr.isatty() else 30.0,
-        )
+        self.prepare()
         try:
-            while self.iteration < self.config.num_iterations:
-                rollout, episodes = self._collect()
-                self._estimate_advantages(rollout)
-                losses = self._update(rollout)
-                evaluation = self._log(rollout, episodes, losses, progress)
-                self._checkpoint(evaluation)
+            while self.state.iteration < self.config.num_iterations:
+                self.run_iteration()
         finally:
-            progress.close()
-            self._log_file.close()
+            self.close()
         self._save("final_ckpt.pt")
         return self.last_evaluation
 
     def load(self, path: str | Path) -> None:
-        """Continue from a checkpoint of a run with the same options.
-
-        Args:
-            path: `last.pt` of the run.
-
-        Raises:
-            FileNotFoundError: If there is no such file.
-            CheckpointError: If it is not a usable checkpoint, or of a run with options that differ
-                in more than what may change (`config.RESUMABLE_FIELDS`).
-        """
-        contents = load_checkpoint(path, self._device)
-        stored, given = contents["train_config"], self.config.to_dict()
-        fixed = [
-            line
-            for line in describe_differences(stored, given)
-            if line.partition(":")[0] not in RESUMABLE_FIELDS | {"exp_name"}
-        ]
-        if fixed:
-            raise CheckpointError(
-                f"{path} cannot be resumed with other options: {'; '.join(fixed)}"
-            )
-        restore_policy(self.policy, contents)
-        self._optimizer.load_state_dict(contents["optimizer"])
-        self._value_scale.load_state_dict(contents["value_scale"])
-        for name, generator in self._generators.items():
-            generator.set_state(contents["generators"][name].cpu())
-        self.iteration = contents["iteration"]
-        self.best_score = contents["best_score"]
+        """Continue from a checkpoint of a run with the same options; see `TrainingState.restore`."""
+        self.state.restore(path)
         self._is_resumed = True
 
     def load_weights(self, path: str | Path) -> None:
-        """Start a new run from the weights of a checkpoint.
+        """Start a new run from the weights of a checkpoint; see `TrainingState.restore_weights`."""
+        self.state.restore_weights(path)
 
-        Args:
-            path: Any checkpoint of a policy with the same options.
+    def _check_fit(self) -> None:
+        config, size = self.config, self.workers.size
+        local = self.workers.share("num_envs", config.num_envs)
+        if self.envs.num_envs != local:
+            of = f" for {size} processes, {local} each," if size > 1 else ""
+            raise ValueError(f"num_envs is {config.num_envs}{of} but envs has {self.envs.num_envs}")
+        if local * config.num_steps % config.num_minibatches:
+            raise ValueError(
+                f"the {local} * {config.num_steps} transitions of each of {size} processes must be "
+                f"divisible by num_minibatches = {config.num_minibatches}"
+            )
+        if config.amp and next(self.policy.parameters()).device.type != "cuda":
+            raise ValueError("--amp needs a CUDA device; on a CPU leave it out")
 
-        Raises:
-            FileNotFoundError: If there is no such file.
-            CheckpointError: If it is not a usable checkpoint of such a policy.
-        """
-        contents = load_checkpoint(path, self._device)
-        restore_policy(self.policy, contents)
-        self._value_scale.load_state_dict(contents["value_scale"])
-
-    def _prepare(self) -> None:
-        self.run_dir.mkdir(parents=True, exist_ok=True)
+    def prepare(self) -> None:
+        """Open the logs, reset the environments and, in a new run, scale the observations."""
         torch.set_num_threads(self.config.torch_threads)
-        tqdm.write(
-            f"PyTorch uses {self.config.torch_threads} CPU thread(s) (--torch_threads): its "
-            "operations here are small, and on busy cores several threads wait for each other"
+        self._log_file = None
+        if self.workers.is_first:
+            self.run_dir.mkdir(parents=True, exist_ok=True)
+            tqdm.write(
+                f"PyTorch uses {self.config.torch_threads} CPU thread(s) (--torch_threads) in each of "
+                f"{self.workers.size} process(es): its operations here are small, and on busy cores "
+                "several threads wait for each other"
+            )
+            self._log_file = RunLog(self.run_dir, self.config, self.state.iteration)
+        self._progress = tqdm(
+            total=self.config.num_iterations * self.config.batch_size,
+            initial=self.state.global_step,
+            unit="step",
+            dynamic_ncols=True,
+            disable=not self.workers.is_first,
+            # In a log file every refresh is a line.
+            mininterval=0.5 if sys.stderr.isatty() else 30.0,
         )
-        self._log_file = RunLog(self.run_dir, self.config, self.iteration)
-        self._times = dict.fromkeys(("rollout", "update", "eval"), 0.0)
         self._start = time.perf_counter()
         self._steps_this_session = 0
         self._reset_envs()
         if not self._is_resumed:
-            rollout, _ = self._collector.collect(
-                self.policy, self._value_scale, self._generators["action"], "while warming up"
-            )
-            self.policy.normalizer.update(rollout.flat_graph())
+            rollout, _ = self._collect("while warming up")
+            update_normalizer(self.policy.normalizer, rollout.flat_graph(), self.workers)
             self._reset_envs()
 
-    def _reset_envs(self) -> None:
-        self._collector.reset(episode_seeds(self.config, self.iteration))
+    def run_iteration(self) -> None:
+        """Collect, learn, log, evaluate and save once; `times` then tells how long each took."""
+        self.times.clear()
+        with self._timed("rollout"):
+            rollout, episodes = self._collect(f"in iteration {self.state.iteration}")
+        self.times["env"] = self._collector.env_seconds
+        with self._timed("update"):
+            self._estimate_advantages(rollout)
+            losses = self._update(rollout)
+        self._log(rollout, episodes, losses)
+        is_best = self._evaluate() if self._is_evaluation_due() else False
+        self._checkpoint(is_best)
 
-    def _collect(self) -> tuple[Rollout, dict[str, float]]:
-        start = time.perf_counter()
-        collected = self._collector.collect(
-            self.policy,
-            self._value_scale,
-            self._generators["action"],
-            f"in iteration {self.iteration}",
-        )
-        self._times["rollout"] = time.perf_counter() - start
-        return collected
+    def close(self) -> None:
+        """Close the logs."""
+        self._progress.close()
+        if self._log_file is not None:
+            self._log_file.close()
+
+    def _reset_envs(self) -> None:
+        seeds = episode_seeds(self.config, self.state.iteration)
+        start = self.workers.rank * self.envs.num_envs
+        self._collector.reset(seeds[start : start + self.envs.num_envs])
+
+    def _collect(self, where: str) -> tuple[Rollout, dict[str, float]]:
+        generator = self.state.generators["action"]
+        return self._collector.collect(self.policy, self.state.value_scale, generator, where)
 
     def _estimate_advantages(self, rollout: Rollout) -> None:
         rollout.advantages, rollout.returns = generalized_advantages(
@@ -219,103 +218,89 @@ class Trainer:
         )
 
     def _update(self, rollout: Rollout) -> dict[str, float]:
-        start = time.perf_counter()
-        for group in self._optimizer.param_groups:
-            group["lr"] = self._learning_rate()
-        self._value_scale.update(rollout.returns)
-        losses = update_policy(
-            self.policy,
-            self._optimizer,
-            self._algorithm,
-            rollout,
-            self._value_scale,
-            self.config,
-            self._generators["minibatch"],
-        )
-        self._update_normalizer(rollout)
-        self.iteration += 1
-        self._times["update"] = time.perf_counter() - start
+        state = self.state
+        now = self.config.coefficients(state.iteration)
+        for group in state.optimizer.param_groups:
+            group["lr"] = now.learning_rate
+        state.algorithm.adopt(now)
+        state.value_scale.update(rollout.returns, self.workers)
+        losses = state.algorithm.update(self._learner, rollout)
+        freeze = self.config.normalizer_freeze_steps
+        if freeze is None or state.global_step < freeze:
+            update_normalizer(self.policy.normalizer, rollout.flat_graph(), self.workers)
+        state.iteration += 1
         return losses
 
-    def _learning_rate(self) -> float:
-        left = 1.0 - self.iteration / self.config.num_iterations if self.config.anneal_lr else 1.0
-        return self.config.learning_rate * left
-
-    def _update_normalizer(self, rollout: Rollout) -> None:
-        freeze = self.config.normalizer_freeze_steps
-        if freeze is None or self.global_step < freeze:
-            self.policy.normalizer.update(rollout.flat_graph())
-
     def _log(
-        self,
-        rollout: Rollout,
-        episodes: dict[str, float],
-        losses: dict[str, float],
-        progress: tqdm,
-    ) -> dict[str, float] | None:
-        """Write the metrics of the iteration; evaluate and write that too if it is time."""
-        self._steps_this_session += self.config.batch_size
+        self, rollout: Rollout, episodes: dict[str, float], losses: dict[str, float]
+    ) -> None:
+        """Write the metrics of the iteration."""
+        batch_size = self.config.batch_size
+        self._steps_this_session += batch_size
         elapsed = time.perf_counter() - self._start
+        now = self.config.coefficients(self.state.iteration - 1)
         metrics = {
             **{f"train/{key}": value for key, value in episodes.items()},
             **{f"losses/{key}": value for key, value in losses.items()},
-            **rollout_metrics(rollout),
-            "charts/learning_rate": self._optimizer.param_groups[0]["lr"],
+            **rollout_metrics(rollout, self.workers),
+            "charts/learning_rate": now.learning_rate,
+            "charts/ent_coef": now.ent_coef,
             "charts/SPS": self._steps_this_session / elapsed,
-            "time/rollout_time": self._times["rollout"],
-            "time/update_time": self._times["update"],
-            "time/rollout_fps": self.config.batch_size / self._times["rollout"],
+            **{f"time/{name}_time": seconds for name, seconds in self.times.items()},
+            "time/rollout_fps": batch_size / self.times["rollout"],
         }
-        self._log_file.add("train", self.iteration, self.global_step, metrics)
-        progress.update(self.config.batch_size)
-        progress.set_postfix_str(_progress_text(metrics))
-        is_due = self.config.eval_freq and (
-            self.iteration % self.config.eval_freq == 0
-            or self.iteration == self.config.num_iterations
-        )
-        return self._evaluate() if self.eval_envs is not None and is_due else None
+        if now.entropy_floor is not None:
+            metrics["charts/entropy_floor"] = now.entropy_floor
+        if self._log_file is not None:
+            self._log_file.add("train", self.state.iteration, self.state.global_step, metrics)
+        self._progress.update(batch_size)
+        self._progress.set_postfix_str(_progress_text(metrics))
 
-    def _evaluate(self) -> dict[str, float]:
-        start = time.perf_counter()
-        seeds = range(FIRST_EVAL_SEED, FIRST_EVAL_SEED + self.config.num_eval_envs)
-        episodes = evaluate_policy(self.policy, self.eval_envs, seeds)
-        metrics = {f"eval/{k}": v.double().mean().item() for k, v in episodes.items()}
-        metrics["time/eval_time"] = time.perf_counter() - start
-        self._log_file.add("eval", self.iteration, self.global_step, metrics)
-        text = ", ".join(f"{k[5:]}={v:.3g}" for k, v in metrics.items() if k.startswith("eval/"))
-        tqdm.write(f"eval at step {self.global_step:,}: {text}")
-        self.last_evaluation = metrics
-        return metrics
+    def _is_evaluation_due(self) -> bool:
+        iteration, config = self.state.iteration, self.config
+        is_last = iteration == config.num_iterations
+        return bool(config.eval_freq) and (iteration % config.eval_freq == 0 or is_last)
 
-    def _checkpoint(self, evaluation: dict[str, float] | None) -> None:
+    def _evaluate(self) -> bool:
+        """Evaluate in the first process, log it, and tell all whether it was the best so far."""
+        is_best = False
+        if self.eval_envs is not None and self._log_file is not None:
+            seeds = range(FIRST_EVAL_SEED, FIRST_EVAL_SEED + self.config.num_eval_envs)
+            with self._timed("eval"):
+                episodes = evaluate_policy(self.policy, self.eval_envs, seeds)
+            metrics = {f"eval/{k}": v.double().mean().item() for k, v in episodes.items()}
+            metrics["time/eval_time"] = self.times["eval"]
+            self._log_file.add("eval", self.state.iteration, self.state.global_step, metrics)
+            text = ", ".join(f"{k[5:]}={v:.3g}" for k, v in metrics.items() if k.startswith("eval/"))
+            tqdm.write(f"eval at step {self.state.global_step:,}: {text}")
+            self.last_evaluation = metrics
+            score = [metrics.get(f"eval/{self.config.best_metric}", 0.0), metrics["eval/return"]]
+            is_best = self.state.best_score is None or score > self.state.best_score
+            self.state.best_score = score if is_best else self.state.best_score
+        return self.workers.gather(is_best)[0]
+
+    def _checkpoint(self, is_best: bool) -> None:
         """Save what is due; see the class docstring for why the environments are reset."""
-        if evaluation is not None:
-            score = [evaluation.get("eval/success_at_end", 0.0), evaluation["eval/return"]]
-            if self.best_score is None or score > self.best_score:
-                self.best_score = score
-                self._save("best_ckpt.pt")
-        is_last = self.iteration == self.config.num_iterations
-        if self.iteration % self.config.checkpoint_freq == 0 or is_last:
-            self._save("last.pt")
-            self._reset_envs()
+        if is_best:
+            self._save("best_ckpt.pt")
+        iteration = self.state.iteration
+        if iteration % self.config.checkpoint_freq == 0 or iteration == self.config.num_iterations:
+            with self._timed("checkpoint"):
+                self._save("last.pt")
+                self._reset_envs()
 
     def _save(self, name: str) -> None:
         if not self.config.save_model:
             return
-        save_checkpoint(
-            self.run_dir / name,
-            {
-                "policy": self.policy.config,
-                "weights": self.policy.state_dict(),
-                "optimizer": self._optimizer.state_dict(),
-                "value_scale": self._value_scale.state_dict(),
-                "generators": {key: g.get_state() for key, g in self._generators.items()},
-                "train_config": self.config.to_dict(),
-                "iteration": self.iteration,
-                "global_step": self.global_step,
-                "best_score": self.best_score,
-            },
-        )
+        contents = self.state.to_checkpoint()
+        if self.workers.is_first:
+            save_checkpoint(self.run_dir / name, contents)
+
+    @contextmanager
+    def _timed(self, phase: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.times[phase] = time.perf_counter() - start
 
 
 def episode_seeds(config: TrainConfig, iteration: int) -> list[int]:
@@ -327,23 +312,32 @@ def episode_seeds(config: TrainConfig, iteration: int) -> list[int]:
     return (FIRST_TRAINING_SEED + state % FIRST_TRAINING_SEED).tolist()
 
 
-def rollout_metrics(rollout: Rollout) -> dict[str, float]:
+def rollout_metrics(rollout: Rollout, workers: Workers | None = None) -> dict[str, float]:
     """Return tags that describe a rollout: explained variance, size of the actions, mean value."""
     errors = rollout.returns - rollout.values
     variance = rollout.returns.var()
     # Returns without variance cannot be explained; zero keeps the plot free of gaps.
     explained = 1.0 - errors.var() / variance if variance > 0 else variance
-    return {
-        "losses/explained_variance": explained.item(),
-        "charts/action_norm": _action_norm(rollout).item(),
-        "charts/value": rollout.values.mean().item(),
+    metrics = {
+        "losses/explained_variance": explained,
+        "charts/action_norm": _action_norm(rollout),
+        "charts/value": rollout.values.mean(),
     }
+    if rollout.gripper_logits is not None:
+        metrics["charts/grip_closed"] = _grippers(rollout)[..., 3].mean()
+    metrics = (workers or Workers()).average_metrics(metrics)
+    return {name: value.item() for name, value in metrics.items()}
 
 
 def _action_norm(rollout: Rollout) -> torch.Tensor:
-    """Return the mean norm of an actuator's action before the controller limits it, dimensionless."""
+    """Return the mean norm of an actuator's displacement before it is limited, dimensionless."""
+    return _grippers(rollout)[..., :3].norm(dim=-1).mean()
+
+
+def _grippers(rollout: Rollout) -> torch.Tensor:
+    """Return the actions of the actuators that exist, (K, 3) or (K, 4)."""
     mask = rollout.graph["actuator"]["mask"]
-    return rollout.actions.unflatten(-1, rollout.means.shape[-2:]).norm(dim=-1)[mask].mean()
+    return rollout.actions.unflatten(-1, (mask.shape[-1], -1))[mask]
 
 
 def _progress_text(metrics: dict[str, float]) -> str:

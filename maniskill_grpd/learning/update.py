@@ -1,142 +1,266 @@
-"""The update phase: epochs of minibatches over one rollout, the same for every algorithm."""
+"""The update phase: epochs of minibatches over one rollout, the same for every first-order algorithm."""
 
 from __future__ import annotations
 
+import abc
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
 import torch
 
-from maniskill_grpd.learning.algorithm import Algorithm
-from maniskill_grpd.learning.config import TrainConfig
+from maniskill_grpd.learning.config import Coefficients, TrainConfig
 from maniskill_grpd.learning.finite import NonFiniteError
-from maniskill_grpd.learning.rollout import Batch, Rollout, map_graph
+from maniskill_grpd.learning.rollout import Batch, Graph, Rollout
 from maniskill_grpd.learning.value_scale import ValueScale
+from maniskill_grpd.learning.workers import Workers
+from maniskill_grpd.policies import ActionDistribution
 
 _CPU_CHUNK_SIZE = 256
 """Larger chunks fall out of the cache: 1600 graphs at once cost a third more per graph than 200."""
 
+Metrics = dict[str, torch.Tensor]
+"""Detached scalars by name."""
 
-def update_policy(
-    policy: torch.nn.Module,
-    optimizer: torch.optim.Optimizer,
-    algorithm: Algorithm,
-    rollout: Rollout,
-    value_scale: ValueScale,
-    config: TrainConfig,
-    generator: torch.Generator,
-) -> dict[str, float]:
-    """Take `update_epochs` passes over a rollout in random minibatches.
 
-    Args:
+@dataclass(kw_only=True)
+class Learner:
+    """What an update changes and what it needs for that.
+
+    Attributes:
         policy: The policy, changed in place.
         optimizer: Its optimizer.
-        algorithm: The policy loss.
-        rollout: Filled, with advantages and returns.
-        value_scale: Scale of the value targets, already updated with this rollout.
+        value_scale: Scale of the value targets, already updated with the rollout.
         config: Sizes and coefficients.
         generator: Source of the minibatch order, a CPU generator.
+        workers: The processes that share the update.
+    """
+
+    policy: torch.nn.Module
+    optimizer: torch.optim.Optimizer
+    value_scale: ValueScale
+    config: TrainConfig
+    generator: torch.Generator
+    workers: Workers = field(default_factory=Workers)
+
+    def __post_init__(self) -> None:
+        compiled = torch.compile(self.policy, dynamic=False) if self.config.compile else None
+        self._forward = compiled or self.policy
+
+    def evaluate(self, graph: Graph) -> tuple[ActionDistribution, torch.Tensor]:
+        """Return the policy's distribution and value outputs (M,) of raw graphs."""
+        return autocast_policy(self._forward, graph, self.config.amp)
+
+    def minibatches(self, rollout: Rollout) -> Iterator[Batch]:
+        """Yield the minibatches of one epoch, in random order."""
+        size = self.workers.share("num_envs * num_steps", self.config.batch_size)
+        order = torch.randperm(size, generator=self.generator).to(rollout.rewards.device)
+        for index in order.split(size // self.config.num_minibatches):
+            yield self.normalize_advantages(rollout.select(index))
+
+    def normalize_advantages(self, batch: Batch) -> Batch:
+        """Bring the advantages of a batch to mean 0 and deviation 1, in place, if so configured."""
+        if self.config.norm_adv:
+            mean, std = _moments(batch.advantages, self.workers)
+            # The tensor was gathered for this batch alone, so it may be changed in place.
+            batch.advantages.sub_(mean).div_(std + 1e-8)
+        return batch
+
+    def chunks(self, batch: Batch) -> list[Batch]:
+        """Split a batch into parts whose activations stay small."""
+        on_cpu = batch.actions.device.type == "cpu"
+        size = self.config.chunk_size or (_CPU_CHUNK_SIZE if on_cpu else len(batch))
+        return batch.split(size)
+
+    def value_loss(self, outputs: torch.Tensor, batch: Batch) -> torch.Tensor:
+        """Return half the mean squared error of value outputs, as CleanRL and ManiSkill have it."""
+        return 0.5 * (outputs - self.value_scale.normalize(batch.returns)).square().mean()
+
+
+class Algorithm(abc.ABC):
+    """Changes a policy after each rollout.
+
+    Attributes:
+        ent_coef: Weight of the entropy bonus.
+    """
+
+    ent_coef: float
+
+    def adopt(self, coefficients: Coefficients) -> None:
+        """Take over what the schedules say for the next update."""
+        self.ent_coef = coefficients.ent_coef
+
+    @abc.abstractmethod
+    def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
+        """Learn from a rollout.
+
+        Args:
+            learner: Policy, optimizer and what else is needed.
+            rollout: Filled, with advantages and returns.
+
+        Returns:
+            Metrics of the last epoch taken, averaged over its minibatches (`*_max`: the largest).
+
+        Raises:
+            NonFiniteError: If a gradient is not finite. The weights are not touched by it.
+        """
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what changes from update to update, as plain types; nothing by default."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        if state:
+            raise ValueError(f"{type(self).__name__} keeps no state, got {sorted(state)}")
+
+
+@dataclass(kw_only=True)
+class FirstOrderAlgorithm(Algorithm):
+    """Descends the gradient of a loss in minibatches."""
+
+    ent_coef: float
+
+    @abc.abstractmethod
+    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
+        """Compute the loss of a minibatch.
+
+        Args:
+            dist: Action distribution of the current policy for `batch.graph`, differentiable.
+            batch: Transitions of the rollout.
+
+        Returns:
+            The scalar loss without the value term, and scalars to log.
+        """
+
+    @abc.abstractmethod
+    def diagnose(self, dist: ActionDistribution, batch: Batch) -> Metrics:
+        """Return further scalars to log, `kl_raw` among them; computed only where they are used."""
+
+    def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
+        """Take `update_epochs` passes over a rollout in random minibatches; see `Algorithm.update`."""
+        return update_policy(learner, self, rollout)
+
+
+def update_policy(
+    learner: Learner, algorithm: FirstOrderAlgorithm, rollout: Rollout
+) -> dict[str, float]:
+    """Take `update_epochs` passes over a rollout; see `Algorithm.update`."""
+    config, policy = learner.config, learner.policy
+    rows: list[Metrics] = []
+    for epoch in range(config.update_epochs):
+        rows = []
+        is_last = epoch == config.update_epochs - 1
+        for number, batch in enumerate(learner.minibatches(rollout)):
+            learner.optimizer.zero_grad(set_to_none=True)
+            diagnose = is_last or config.target_kl is not None
+            metrics = _accumulate_gradients(learner, algorithm, batch, diagnose)
+            metrics["grad_norm"] = apply_gradients(
+                learner, list(policy.parameters()), metrics, f"epoch {epoch}, minibatch {number}"
+            )
+            rows.append(metrics)
+            if config.target_kl is not None and _mean_kl(learner, metrics) > config.target_kl:
+                return summarize(rows, learner.workers)
+    return summarize(rows, learner.workers)
+
+
+def apply_gradients(
+    learner: Learner, parameters: list[torch.Tensor], metrics: Metrics, place: str
+) -> torch.Tensor:
+    """Average the gradients over the processes, clip their norm and take a step of the optimizer.
+
+    Args:
+        learner: Optimizer and processes.
+        parameters: Those that have a gradient.
+        metrics: Losses, for the message.
+        place: Where in the update this is, for the message.
 
     Returns:
-        Metrics of the last epoch taken, averaged over its minibatches (`*_max`: the largest).
+        The norm before clipping.
 
     Raises:
-        NonFiniteError: If the gradient of a minibatch is not finite. The weights are not touched
-            by that minibatch.
+        NonFiniteError: If it is not finite; the step is not taken then.
     """
-    device = rollout.rewards.device
-    rows: list[dict[str, torch.Tensor]] = []
-    for epoch in range(config.update_epochs):
-        order = torch.randperm(config.batch_size, generator=generator).to(device)
-        rows = []
-        for number, index in enumerate(order.split(config.minibatch_size)):
-            batch = _normalize_advantages(rollout.select(index), config)
-            optimizer.zero_grad(set_to_none=True)
-            metrics = _accumulate_gradients(policy, algorithm, batch, value_scale, config)
-            norm = torch.nn.utils.clip_grad_norm_(policy.parameters(), config.max_grad_norm)
-            if not torch.isfinite(norm):
-                raise NonFiniteError(_describe(policy, metrics, epoch, number))
-            optimizer.step()
-            rows.append({**metrics, "grad_norm": norm.detach()})
-            if config.target_kl is not None and metrics["kl_raw"] > config.target_kl:
-                return _summarize(rows)
-    return _summarize(rows)
+    learner.workers.average_gradients(parameters)
+    norm = torch.nn.utils.clip_grad_norm_(parameters, learner.config.max_grad_norm)
+    if not torch.isfinite(norm):
+        raise NonFiniteError(_describe(learner.policy, metrics, place))
+    learner.optimizer.step()
+    return norm.detach()
 
 
-def _normalize_advantages(batch: Batch, config: TrainConfig) -> Batch:
-    if config.norm_adv:
-        advantages = batch.advantages
-        # The tensor was gathered for this batch alone, so it may be changed in place.
-        advantages.sub_(advantages.mean()).div_(advantages.std() + 1e-8)
-    return batch
+def autocast_policy(
+    forward: Any, graph: Graph, enabled: bool
+) -> tuple[ActionDistribution, torch.Tensor]:
+    """Evaluate a policy, its matrix products in bfloat16 if enabled; the results are float32.
+
+    Args:
+        forward: The policy or a compiled form of it.
+        graph: Raw graphs.
+        enabled: Whether to use bfloat16.
+    """
+    if not enabled:
+        return forward(graph)
+    with torch.autocast(graph["gravity"].device.type, dtype=torch.bfloat16):
+        dist, outputs = forward(graph)
+    logits = dist.gripper_logits
+    dist = ActionDistribution(
+        dist.mean.float(), dist.std.float(), dist.mask, None if logits is None else logits.float()
+    )
+    return dist, outputs.float()
+
+
+def summarize(rows: list[Metrics], workers: Workers) -> dict[str, float]:
+    """Average the metrics of minibatches and of processes; of `*_max` take the largest."""
+    metrics = workers.average_metrics(_reduce(rows, [1.0 / len(rows)] * len(rows)))
+    return {key: value.item() for key, value in metrics.items()}
 
 
 def _accumulate_gradients(
-    policy: torch.nn.Module,
-    algorithm: Algorithm,
-    batch: Batch,
-    value_scale: ValueScale,
-    config: TrainConfig,
-) -> dict[str, torch.Tensor]:
+    learner: Learner, algorithm: FirstOrderAlgorithm, batch: Batch, diagnose: bool
+) -> Metrics:
     """Backpropagate the loss of a minibatch, in chunks whose activations stay small."""
-    size = batch.actions.shape[0]
     rows, shares = [], []
-    for chunk in _chunks(batch, config.chunk_size):
-        dist, outputs = policy(chunk.graph)
+    for chunk in learner.chunks(batch):
+        dist, outputs = learner.evaluate(chunk.graph)
         policy_loss, metrics = algorithm.policy_loss(dist, chunk)
-        # Half the mean squared error, as in CleanRL and ManiSkill.
-        value_loss = 0.5 * (outputs - value_scale.normalize(chunk.returns)).square().mean()
-        share = chunk.actions.shape[0] / size
-        (share * (policy_loss + config.vf_coef * value_loss)).backward()
-        rows.append({**metrics, "value_loss": value_loss.detach(), "std": _mean_std(dist)})
+        value_loss = learner.value_loss(outputs, chunk)
+        share = len(chunk) / len(batch)
+        (share * (policy_loss + learner.config.vf_coef * value_loss)).backward()
+        if diagnose:
+            metrics |= {"std": mean_std(dist), **algorithm.diagnose(dist, chunk)}
+        rows.append({**metrics, "value_loss": value_loss.detach()})
         shares.append(share)
     return rows[0] if len(rows) == 1 else _reduce(rows, shares)
 
 
-def _chunks(batch: Batch, chunk_size: int) -> list[Batch]:
-    """Split a minibatch into chunks of nearly equal size."""
-    size = batch.actions.shape[0]
-    if not chunk_size:
-        chunk_size = _CPU_CHUNK_SIZE if batch.actions.device.type == "cpu" else size
-    count = -(-size // chunk_size)
-    if count == 1:
-        return [batch]
-    edges = [size * i // count for i in range(count + 1)]
-    return [_slice(batch, start, end) for start, end in zip(edges, edges[1:], strict=False)]
-
-
-def _slice(batch: Batch, start: int, end: int) -> Batch:
-    def cut(tensor: torch.Tensor) -> torch.Tensor:
-        return tensor[start:end]
-
-    return Batch(
-        graph=map_graph(cut, batch.graph),
-        actions=cut(batch.actions),
-        log_probs=cut(batch.log_probs),
-        old_mean=cut(batch.old_mean),
-        old_std=cut(batch.old_std),
-        advantages=cut(batch.advantages),
-        returns=cut(batch.returns),
-    )
-
-
-def _mean_std(dist) -> torch.Tensor:
+def mean_std(dist: ActionDistribution) -> torch.Tensor:
     """Return the standard deviation averaged over the actuators that exist."""
     return dist.std.detach()[dist.mask].mean()
 
 
-def _reduce(rows: list[dict[str, torch.Tensor]], shares: list[float]) -> dict[str, torch.Tensor]:
+def _moments(values: torch.Tensor, workers: Workers) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return mean and (unbiased) standard deviation over the processes."""
+    if workers.size == 1:
+        return values.mean(), values.std()
+    count = values.numel() * workers.size
+    mean = workers.sum(values.sum()) / count
+    return mean, (workers.sum((values - mean).square().sum()) / (count - 1)).sqrt()
+
+
+def _mean_kl(learner: Learner, metrics: Metrics) -> float:
+    """Return `kl_raw` of a minibatch over the processes, so that all of them stop together."""
+    return learner.workers.average_metrics({"kl_raw": metrics["kl_raw"]})["kl_raw"].item()
+
+
+def _reduce(rows: list[Metrics], shares: list[float]) -> Metrics:
     """Average metrics with weights that sum to one; of `*_max` take the largest."""
     stacked = {key: torch.stack([row[key] for row in rows]) for key in rows[0]}
     weights = torch.tensor(shares, device=next(iter(stacked.values())).device)
     return {k: v.max() if k.endswith("_max") else (v * weights).sum() for k, v in stacked.items()}
 
 
-def _summarize(rows: list[dict[str, torch.Tensor]]) -> dict[str, float]:
-    metrics = _reduce(rows, [1.0 / len(rows)] * len(rows))
-    return {key: value.item() for key, value in metrics.items()}
-
-
-def _describe(
-    policy: torch.nn.Module, metrics: dict[str, torch.Tensor], epoch: int, number: int
-) -> str:
+def _describe(policy: torch.nn.Module, metrics: Metrics, place: str) -> str:
     """Say what was not finite in a failed minibatch."""
     broken = [name for name, value in metrics.items() if not torch.isfinite(value)]
     weights = [
@@ -145,7 +269,7 @@ def _describe(
         if parameter.grad is not None and not torch.isfinite(parameter.grad).all()
     ]
     return (
-        f"the gradient is not finite in epoch {epoch}, minibatch {number}: "
+        f"the gradient is not finite in {place}: "
         f"non-finite losses {broken or 'none'}, first non-finite gradients {weights[:3]}. "
         "Training stopped before the step; the last checkpoint is untouched."
     )

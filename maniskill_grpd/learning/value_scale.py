@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import torch
 
+from maniskill_grpd.learning.workers import Workers
+
 
 class ValueScale:
     """Maps the output of the value network to returns: V = mean + std * output.
@@ -37,12 +39,14 @@ class ValueScale:
         # Constant returns have no scale; below 1e-2 the regression would amplify noise.
         return max(variance, 1e-4) ** 0.5
 
-    def update(self, returns: torch.Tensor) -> None:
-        """Add the returns of one rollout."""
+    def update(self, returns: torch.Tensor, workers: Workers | None = None) -> None:
+        """Add the returns of one rollout, of all processes if there are several."""
+        workers = workers or Workers()
         returns = returns.double()
+        moments = torch.stack([returns.mean(), returns.square().mean()])
+        mean, square = (workers.sum(moments) / workers.size).tolist()
         self._weight = self.decay * self._weight + 1.0 - self.decay
-        self._mean = self.decay * self._mean + (1.0 - self.decay) * returns.mean().item()
-        square = returns.square().mean().item()
+        self._mean = self.decay * self._mean + (1.0 - self.decay) * mean
         self._mean_square = self.decay * self._mean_square + (1.0 - self.decay) * square
 
     def normalize(self, returns: torch.Tensor) -> torch.Tensor:

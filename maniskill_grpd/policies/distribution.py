@@ -112,8 +112,6 @@ class ActionDistribution:
     def gripper_kl_divergence(self, old: ActionDistribution) -> torch.Tensor:
         """KL(self || old) of each gripper's Bernoulli variable [nats], (B, A), zero where masked.
 
-            p (l - k) - log((1 + exp(l)) / (1 + exp(k)))     l, k: new and old log-odds
-
         Zero without grippers.
 
         Args:
@@ -121,15 +119,7 @@ class ActionDistribution:
         """
         if self.gripper_logits is None or old.gripper_logits is None:
             return torch.zeros_like(self.mean[..., 0])
-        change = self.gripper_logits - old.gripper_logits
-        # Close to each other, the difference of two softplus would lose the quadratic remainder.
-        near = change.clamp(-1.0, 1.0)
-        log_ratio = torch.where(
-            change.abs() < 1.0,
-            torch.log1p(torch.sigmoid(old.gripper_logits) * torch.expm1(near)),
-            softplus(self.gripper_logits) - softplus(old.gripper_logits),
-        )
-        kl = (torch.sigmoid(self.gripper_logits) * change - log_ratio).clamp(min=0.0)
+        kl = bernoulli_kl(self.gripper_logits, old.gripper_logits)
         return kl.masked_fill(~self.mask, 0.0)
 
     def joint_kl_divergence(self, old: ActionDistribution) -> torch.Tensor:
@@ -139,3 +129,23 @@ class ActionDistribution:
 
     def _sum(self, per_actuator: torch.Tensor) -> torch.Tensor:
         return per_actuator.masked_fill(~self.mask, 0.0).sum(-1)
+
+
+def bernoulli_kl(logits: torch.Tensor, old_logits: torch.Tensor) -> torch.Tensor:
+    """KL between two Bernoulli variables [nats], of any shape.
+
+        p (l - k) - log((1 + exp(l)) / (1 + exp(k))),      p = sigmoid(l)
+
+    Args:
+        logits: Log-odds l of the first variable.
+        old_logits: Log-odds k of the second, same shape.
+    """
+    change = logits - old_logits
+    # Close to each other, the difference of two softplus would lose the quadratic remainder.
+    near = change.clamp(-1.0, 1.0)
+    log_ratio = torch.where(
+        change.abs() < 1.0,
+        torch.log1p(torch.sigmoid(old_logits) * torch.expm1(near)),
+        softplus(logits) - softplus(old_logits),
+    )
+    return (torch.sigmoid(logits) * change - log_ratio).clamp(min=0.0)

@@ -85,8 +85,10 @@ class Policy(nn.Module, abc.ABC):
             generator: Source of randomness for samples.
 
         Returns:
-            (B, A * 3) float32, in units of the largest displacement per step. Not clipped: the
-            controller limits the norm per actuator, a clip per axis would break equivariance.
+            What `env.step` takes, float32: (B, A * 3), displacements in units of the largest one
+            per step; with grippers (B, A * 4), each displacement followed by 1 to close and 0 to
+            open. Not clipped: the controller limits the norm per actuator, a clip per axis would
+            break equivariance.
         """
         distribution = self.distribution(graph)
         action = distribution.mode if deterministic else distribution.sample(generator)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,9 +11,11 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Model, cloth
+from maniskill_grpd.physics.outlines import signed_area
 from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.crease import (
+    area_beyond,
     corner_directions,
     crease_ends,
     hull_corners,
@@ -41,19 +43,21 @@ IS_MOVING = Channel("is_moving", "scalar", "", "1 where the node belongs to the 
 class CreaseRange(NamedTuple):
     """The creases of one number of grippers."""
 
+    directions: Callable[[np.ndarray], np.ndarray]
+    """Gives the directions (S, 2) about which the normals of the creases of an outline (P, 2) are drawn."""
     deviation: float
-    """Largest angle between the crease's normal and the direction of a side or corner [rad]."""
-    shares: tuple[float, float]
-    """Smallest and largest share of the cloth's area that is to move."""
+    """Largest angle between a normal and its direction [rad]."""
     grip_angles: tuple[float, ...]
     """Each gripper holds the node farthest in a direction this far from the crease's normal [rad]."""
 
 
 CREASES = {
-    1: CreaseRange(np.deg2rad(10.0), (0.25, 0.5), (0.0,)),
-    2: CreaseRange(np.deg2rad(20.0), (0.25, 0.5), (-np.deg2rad(25.0), np.deg2rad(25.0))),
+    1: CreaseRange(corner_directions, np.deg2rad(10.0), (0.0,)),
+    2: CreaseRange(side_directions, np.deg2rad(20.0), (-np.deg2rad(25.0), np.deg2rad(25.0))),
 }
-"""Ranges of the creases by the number of grippers."""
+"""Creases by the number of grippers."""
+MOVING_SHARES = (0.25, 0.5)
+"""Smallest and largest share of the cloth's area that is to move."""
 
 
 @register_env("ClothFolding-v1", max_episode_steps=100)
@@ -69,9 +73,10 @@ class ClothFoldingEnv(DeformableEnv):
     - the centre of the cloth is uniform in the square [-0.15, 0.15] m x [-0.15, 0.15] m
     - its direction is uniform in [-180, 180] degrees
     - the crease is drawn in the frame of the cloth, independently of where that lies: with two grippers any side of the shape
-      (of its convex hull) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
+      (for an L of its box) is folded in, and the normal of the crease deviates from that of the side by an angle uniform in
       [-20, 20] degrees; with one gripper any corner is, and the angle to its bisector is uniform in [-10, 10] degrees
-    - the half that is to move has a share of the area uniform in [0.25, 0.5] with two grippers, [0.15, 0.35] with one
+    - the half that is to move has a share of the area uniform in [0.25, 0.5]; where 0.25 would leave one of the held points out
+      (slanted creases of triangles and rectangles), from the share at which the crease passes through that point
     - with `shapes=("square", "triangle", ...)` each episode draws one of the shapes, likewise with several resolutions
     - `pose_range="half"` and `"quarter"` shrink all ranges about their middle to a half and a quarter
 
@@ -111,6 +116,9 @@ class ClothFoldingEnv(DeformableEnv):
         channels.GRIPPER_STATUS,
     )
 
+    CAMERA_POSITION = (0.0, -0.5, 0.8)
+    CAMERA_TARGET = (0.0, -0.03, 0.0)
+
     CENTRE_RANGE = 0.15
     """Largest coordinate of the centre of the cloth [m]."""
     YAW_RANGE = np.pi
@@ -121,16 +129,17 @@ class ClothFoldingEnv(DeformableEnv):
     DRIFT_LIMIT = 0.02
     """Success: mean distance below which the resting half has stayed where it was [m]."""
 
+    DRIFT_WEIGHT = 1.5
+    """Weight of the drift of the resting half against the distance of the moving half. A cloth that is pushed across the table as
+    a whole brings its moving half nearer to the goal, but never by more than it drifts: above 1, that does not pay."""
     FAR_WEIGHT = 0.2
     """Share of the reward that draws the moving half over from anywhere."""
-    FAR_SCALE = 0.1
-    """Mean distance [m] of the moving half at which that share has fallen to a quarter."""
+    FAR_SCALE = 0.2
+    """Weighted distance [m] at which that share has fallen to a quarter."""
     NEAR_WEIGHT = 0.3
     """Share of the reward for precision."""
     NEAR_SCALE = 0.03
-    """Mean distance [m] of the moving half at which that share has fallen to 1 / e."""
-    DRIFT_SCALE = 0.03
-    """Drift of the resting half [m] at which both shares have fallen to 1 / e."""
+    """Weighted distance [m] at which that share has fallen to 1 / e."""
     SUCCESS_WEIGHT = 0.5
     """Share of the reward for success."""
 
@@ -148,8 +157,8 @@ class ClothFoldingEnv(DeformableEnv):
             num_grippers: 2 (default) or 1.
             resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
                 two grippers and 225 with one.
-            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or "l_shape"; of several, each episode draws
-                one.
+            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or, with two grippers, "l_shape"; of several,
+                each episode draws one.
             settings: Options of `DeformableEnv`.
 
         Raises:
@@ -167,6 +176,8 @@ class ClothFoldingEnv(DeformableEnv):
     # ------------------------------------------------------------------ episode
 
     def _build_models(self) -> list[Model]:
+        if self.num_grippers == 1 and "l_shape" in self.shapes:
+            raise ValueError("l_shape needs two grippers: what is beyond a crease of an L is not carried by one point")
         self.resolutions = self.resolutions or (DEFAULT_RESOLUTIONS[self.num_grippers],)
         self._outline_of_variant = [cloth_outline(name, CLOTH_AREA) for name in self.shapes for _ in self.resolutions]
         sizes = self.resolutions * len(self.shapes)
@@ -181,9 +192,10 @@ class ClothFoldingEnv(DeformableEnv):
         self.is_moving = self._episode_tensor("is_moving", num_nodes, kind="scalar")
         self.crease_normal = self._episode_tensor("crease_normal", 3, kind="vector")
         self.crease_ends = self._episode_tensor("crease_ends", 2, 3, kind="position")
-        directions_of = side_directions if self.num_grippers == 2 else corner_directions
-        directions = [directions_of(outline) for outline in self._outline_of_variant]
+        directions = [CREASES[self.num_grippers].directions(outline) for outline in self._outline_of_variant]
         candidates = [self._candidate_gripper_nodes(model) for model in self.models]
+        areas = [signed_area(outline) for outline in self._outline_of_variant]
+        self._areas = torch.tensor(areas, dtype=torch.float32, device=self.device)
         self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
         self._directions, self._outlines, self._rest, self._candidates = (
             torch.as_tensor(_stack_rows(tables), device=self.device)
@@ -199,7 +211,9 @@ class ClothFoldingEnv(DeformableEnv):
         variant = self.solver.variants[worlds].long()
         draws = self._draw_uniform(worlds, 6)
         pose, rest, radius = draws[:, :3], self._rest[variant], self.solver.model.radius
-        normal, offset = self._draw_crease(variant, draws[:, 3:])
+        normal = self._draw_normal(variant, draws[:, 3:5])
+        held = self._choose_start_nodes(variant, normal)
+        offset = self._draw_offset(variant, normal, held, draws[:, 5])
         beyond = (signed_distances(rest, normal, offset) > 0.0) & self.solver.node_mask[worlds]
         goal = torch.where(beyond[..., None], mirror(rest, normal, offset), rest)
         self.goal_positions[worlds] = self._lay_down(goal, radius + 2.0 * radius * beyond, pose)
@@ -209,17 +223,26 @@ class ClothFoldingEnv(DeformableEnv):
         origin = torch.zeros_like(pose[:, :2])  # a vector is laid down without being shifted
         turn = torch.cat([origin, pose[:, 2:]], dim=1)
         self.crease_normal[worlds] = self._lay_down(normal[:, None], normal.new_zeros(len(worlds), 1), turn)[:, 0]
-        return self._lay_down(rest, rest.new_full(rest.shape[:2], radius), pose), self._choose_start_nodes(variant, normal)
+        return self._lay_down(rest, rest.new_full(rest.shape[:2], radius), pose), held
 
-    def _draw_crease(self, variant: torch.Tensor, draws: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Draw creases in the frames of the cloths from numbers in [-1, 1) (b, 3): unit normals (b, 2) and offsets (b,) [m]."""
-        ranges, count = CREASES[self.num_grippers], self._num_directions[variant]
+    def _draw_normal(self, variant: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
+        """Draw unit normals of creases in the frames of the cloths, (b, 2), from numbers in [-1, 1) (b, 2)."""
+        count = self._num_directions[variant]
         index = ((draws[:, 0] + 1.0) / 2.0 * count).long()
         direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
-        low, high = ranges.shares
-        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws[:, 2]
-        normal = _turn(direction[:, None], ranges.deviation * self._pose_share * draws[:, 1])[:, 0]
-        return normal, offset_of_share(self._outlines[variant], normal, share)
+        return _turn(direction[:, None], CREASES[self.num_grippers].deviation * self._pose_share * draws[:, 1])[:, 0]
+
+    def _draw_offset(
+        self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor
+    ) -> torch.Tensor:
+        """Draw offsets of creases (b,) [m], beyond which all held nodes (b, A) lie, from numbers in [-1, 1) (b,)."""
+        outlines, zero = self._outlines[variant], torch.zeros_like(draws)
+        points = self._rest[variant].gather(1, held[..., None].expand(-1, -1, 2))
+        nearest = signed_distances(points, normal, zero).amin(dim=1)
+        low, high = MOVING_SHARES
+        low = (area_beyond(outlines, normal, nearest) / self._areas[variant]).clamp(min=low)
+        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws
+        return offset_of_share(outlines, normal, share)
 
     def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
         """Return the extreme nodes that the grippers hold, (b, A)."""
@@ -251,15 +274,11 @@ class ClothFoldingEnv(DeformableEnv):
         return {"success": is_folded & ~fail, "fail": fail, "fold_distance": fold_distance, "drift": drift}
 
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure.
-
-        Nearness of the moving half counts as long as the other half rests: a cloth that is pushed across the table as a whole
-        brings that half near to where it should be, too.
-        """
-        far = 1.0 - torch.tanh(info["fold_distance"] / self.FAR_SCALE)
-        near = torch.exp(-((info["fold_distance"] / self.NEAR_SCALE) ** 2))
-        rests = torch.exp(-((info["drift"] / self.DRIFT_SCALE) ** 2))
-        reward = (self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near) * rests + self.SUCCESS_WEIGHT * info["success"]
+        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
+        distance = info["fold_distance"] + self.DRIFT_WEIGHT * info["drift"]
+        far = 1.0 - torch.tanh(distance / self.FAR_SCALE)
+        near = torch.exp(-((distance / self.NEAR_SCALE) ** 2))
+        reward = self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
         return reward * ~info["fail"]
 
     def _object_values(self) -> dict[str, torch.Tensor]:
@@ -291,18 +310,24 @@ class ClothFoldingEnv(DeformableEnv):
 
     def _drawing(self, world: int) -> Drawing:
         model = self.models[int(self.solver.variants[world])]
-        num, normal = model.num_nodes, self.solver.plane[world, :3]
-        moving = self.is_moving[world, :num].cpu().numpy() > 0.0
-        goal_faces = model.faces[moving[model.faces].all(axis=1)]
-        crease = self.crease_ends[world] + 2.0 * model.radius * normal
+        crease = self.crease_ends[world] + 2.0 * model.radius * self.solver.plane[world, :3]
         return Drawing(
-            object=Sheet(self.solver.positions[world, :num].cpu().numpy(), model.faces),
-            goal=Sheet(self.goal_positions[world, :num].cpu().numpy(), goal_faces[:, ::-1]),
+            object=Sheet(self.solver.positions[world, : model.num_nodes].cpu().numpy(), model.faces),
+            goal=self._draw_goal(world, model),
             lines=(Line(crease.cpu().numpy()),),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),
             closed=self.solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
         )
+
+    def _draw_goal(self, world: int, model: Model) -> Sheet:
+        """Return the mirrored half, up to the crease: nodes of triangles that the crease cuts are brought onto it."""
+        goals, moving = self.goal_positions[world, : model.num_nodes], self.is_moving[world, : model.num_nodes] > 0.0
+        normal, up = self.crease_normal[world], self.solver.plane[world, :3]
+        short = ((self.crease_ends[world, 0] - goals) @ normal)[:, None]
+        vertices = torch.where(moving[:, None], goals, goals + short * normal + 2.0 * model.radius * up)
+        faces = model.faces[moving.cpu().numpy()[model.faces].any(axis=1)]
+        return Sheet(vertices.cpu().numpy(), faces[:, ::-1])  # the mirror image is seen from behind
 
 
 def _turn(points: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from mani_skill.sensors.camera import CameraConfig
-from mani_skill.utils import sapien_utils
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
@@ -47,7 +45,7 @@ class ClothHangingEnv(DeformableEnv):
     **Task Description:**
     Four floating grippers (optionally three) hold a cloth by its corners in the air and must bring
     it onto a peg of any position and direction, through a hole of 6 cm radius in the middle of the
-    cloth. The peg is 0.25 m long and 2 cm thick and stands on a round plate. The cloth has an area
+    cloth. The peg is 0.25 m long and 3 cm thick and stands on a round plate. The cloth has an area
     of 0.16 m^2 and is a square by default. There is no table; gravity acts.
 
     With `hanger="bar"` a cloth without a hole must be draped over a bar, 0.6 m long and 2 cm thick.
@@ -108,6 +106,10 @@ class ClothHangingEnv(DeformableEnv):
         channels.GRIPPER_STATUS,
     )
 
+    CAMERA_POSITION = (-0.9, -2.3, 1.1)  # from there it sees hangers in all directions from the origin
+    CAMERA_TARGET = (0.0, 0.0, 0.0)
+    CAMERA_FOV = 0.75
+
     CENTRE_RANGE = 0.1
     """Largest coordinate of the middle of the cloth [m]."""
     ANGLE_RANGE = np.pi
@@ -147,7 +149,7 @@ class ClothHangingEnv(DeformableEnv):
             shapes: Names of the cloth's outline, see `CLOTH_SHAPES`; of several, each episode draws one.
             resolution: Number of nodes of the cloth, 49 to 1225, that of its mesh is about as large; of several, each episode
                 draws one.
-            hole_radius: Radius of the hole for a peg, 0.02 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.
+            hole_radius: Radius of the hole for a peg, 0.03 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.
             settings: Options of `DeformableEnv`; `num_grippers` is 3 or 4 (default).
 
         Raises:
@@ -303,14 +305,6 @@ class ClothHangingEnv(DeformableEnv):
             closed=solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
             has_table=self.HAS_TABLE,
-        )
-
-    @staticmethod
-    def _camera(uid: str, size: int, shader_pack: str) -> CameraConfig:
-        """Return a camera that sees all of the space in which hangers stand."""
-        pose = sapien_utils.look_at(eye=[-0.9, -2.3, 1.1], target=[0.0, 0.0, 0.0])
-        return CameraConfig(
-            uid, pose=pose, width=size, height=size, fov=0.75, near=0.01, far=10.0, shader_pack=shader_pack
         )
 
 

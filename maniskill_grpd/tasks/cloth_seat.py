@@ -10,8 +10,8 @@ from maniskill_grpd.physics import Model, circle_outline
 from maniskill_grpd.physics.outlines import contains, distance_to
 from maniskill_grpd.tasks.cloth_shapes import cloth_outline
 
-HOLE_RADII = (0.02, 0.1)
-"""Smallest and largest radius of a hole [m]: a peg of 1 cm radius fits with some room, its plate stays smaller than the cloth."""
+HOLE_RADII = (0.03, 0.1)
+"""Smallest and largest radius of a hole [m]."""
 SMALLEST_RIM = 0.03
 """How much cloth there must be around a hole [m]."""
 RING_RADIUS = 0.05
@@ -30,7 +30,7 @@ def check_hole(name: str, area: float, radius: float) -> None:
     """
     low, high = HOLE_RADII
     if not low <= radius <= high:
-        raise ValueError(f"hole_radius must be in [{low}, {high}] m (the peg is 0.02 m thick), got {radius}")
+        raise ValueError(f"hole_radius must be in [{low}, {high}] m, so that a peg passes and its plate does not, got {radius}")
     room = _roomiest_point(cloth_outline(name, area))[1] - SMALLEST_RIM
     if radius > room:
         raise ValueError(f"hole_radius must be at most {room:.3f} m in a {name} of {area} m^2, got {radius}")
@@ -68,9 +68,9 @@ def spread_corners(model: Model, num: int) -> np.ndarray:
 
 def _roomiest_point(outline: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the point (2,) farthest from an outline [m], of several the one nearest to the origin, and its distance."""
-    low, high = outline.min(axis=0), outline.max(axis=0)
-    axes = [np.linspace(a, b, 2 * int(np.ceil(0.5 * (b - a) / SEARCH_STEP)) + 1) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    reach = int(np.abs(outline).max() / SEARCH_STEP)
+    axis = SEARCH_STEP * np.arange(-reach, reach + 1)
+    points = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     points = points[contains(outline, points)]
     room = distance_to(outline, points)
     best = int((room - 1e-3 * np.linalg.norm(points, axis=1)).argmax())

@@ -22,17 +22,26 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
 
 
 def side_directions(outline: np.ndarray) -> np.ndarray:
-    """Return the outward normals of the sides of the convex hull of a polygon (P, 2), unit vectors (S, 2)."""
-    corners = outline[hull_corners(outline)]
-    along = np.roll(corners, -1, axis=0) - corners
-    return np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    """Return the outward normals of the sides of a counter-clockwise polygon (P, 2), unit vectors (S, 2).
+
+    Sides that lie within its convex hull, and those of the hull that bridge a notch, are left out: what is beyond a crease along
+    one of these is not carried by its two ends.
+    """
+    corners = hull_corners(outline)
+    is_side = (np.roll(corners, -1) - corners) % len(outline) == 1
+    return _hull_normals(outline[corners])[is_side]
 
 
 def corner_directions(outline: np.ndarray) -> np.ndarray:
     """Return the outward bisectors of the corners of the convex hull of a polygon (P, 2), unit vectors (S, 2)."""
-    normals = side_directions(outline)
+    normals = _hull_normals(outline[hull_corners(outline)])
     bisectors = normals + np.roll(normals, -1, axis=0)
     return bisectors / np.linalg.norm(bisectors, axis=1, keepdims=True)
+
+
+def _hull_normals(corners: np.ndarray) -> np.ndarray:
+    along = np.roll(corners, -1, axis=0) - corners
+    return np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
 
 
 def signed_distances(points: torch.Tensor, normal: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:

@@ -8,7 +8,7 @@ from mani_skill.sensors.camera import CameraConfig
 from scipy.ndimage import uniform_filter
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.drawing import Drawing, Sheet
+from maniskill_grpd.tasks.drawing import Drawing, Sheet, Tube
 from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
 from maniskill_grpd.tasks.rasterizer import Canvas, scan
 from maniskill_grpd.tasks.surfaces import (
@@ -26,13 +26,13 @@ SAMPLES = 2
 """Samples per pixel and direction: edges get soft."""
 SHADOW_BLUR = 5
 """Width of the soft edge of shadows [pixels]."""
-AMBIENT, DIFFUSE, GLOSS = 0.58, 0.50, 0.16
-"""Shares of the light that does not, and does, depend on the slope of a surface; strength of its reflections."""
+AMBIENT, DIRECT, FILL, GLOSS = 0.44, 0.46, 0.18, 0.16
+"""Shares of the light from everywhere, from the lamp and from the camera; strength of the lamp's reflections."""
 GLOSS_EXPONENT = 24.0
 GHOST_ALPHA = 0.38
 MARK_ALPHA, HIDDEN_MARK_ALPHA = 0.9, 0.35
-GHOST_LEAD = 0.008
-"""Share of the distance by which a ghost must be nearer than something on the table to cover it."""
+GHOST_LEADS = {Tube: 0.02, Sheet: 0.003}
+"""Distance by which a ghost must be nearer than something on the table to cover it [m]."""
 EDGE_STEP = 0.0022
 """Steps of the nearness [1/m] that are drawn as edges: 4 mm at a distance of 1.3 m."""
 EDGE_DARKNESS = 0.35
@@ -52,7 +52,8 @@ class NumpyPainter:
             camera: Where the camera stands, its vertical field of view and the size of its images.
         """
         self._camera = PinholeCamera(camera, SAMPLES)
-        half = palette.LIGHT_DIRECTION + self._towards_camera(np.zeros(3))
+        self._view = self._towards_camera(np.zeros(3))
+        half = palette.LIGHT_DIRECTION + self._view
         self._glossy_normal = half / np.linalg.norm(half)
         self._empty, self._with_table = self._backdrop(), self._table()
         self._canvas = self._empty
@@ -83,12 +84,13 @@ class NumpyPainter:
 
     def _draw_goal(self, drawing: Drawing) -> None:
         color = palette.SOLVED if drawing.is_solved else palette.GOAL
-        if drawing.goal is not None:
-            ghost = self._shaded(ghost_surface(drawing.goal), color, color)
+        ghost = ghost_surface(drawing)
+        if ghost is not None:
             # What lies in its goal is not covered: it would take on the colour of the ghost.
             is_table = self._canvas.nearness == self._with_table.nearness
-            limit = self._canvas.nearness * np.where(is_table, 1.0, 1.0 + GHOST_LEAD)
-            self._canvas.glaze(*ghost, alpha=GHOST_ALPHA, limit=limit)
+            lead = np.where(is_table, 0.0, GHOST_LEADS[type(drawing.goal)])
+            limit = self._canvas.nearness / (1.0 - lead * self._canvas.nearness)
+            self._canvas.glaze(*self._shaded(ghost, color, color), alpha=GHOST_ALPHA, limit=limit)
         marks = self._shaded(mark_surface(drawing), color, color)
         self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
 
@@ -138,11 +140,12 @@ class NumpyPainter:
         return pixels, nearness, base * self._brightness(normals) + self._reflection(normals)
 
     def _brightness(self, normals: np.ndarray) -> np.ndarray:
-        """Return the light that surfaces with normals (..., 3) scatter, (..., 1); 1 on average."""
-        return AMBIENT + DIFFUSE * np.maximum(normals @ palette.LIGHT_DIRECTION, 0.0)[..., None]
+        """Return the light that surfaces with normals (..., 3) scatter, (..., 1); about 1 for those that face the lamp."""
+        lamp, camera = (np.maximum(normals @ direction, 0.0) for direction in (palette.LIGHT_DIRECTION, self._view))
+        return (AMBIENT + DIRECT * lamp + FILL * camera)[..., None]
 
     def _reflection(self, normals: np.ndarray) -> np.ndarray:
-        """Return the light that is reflected into the camera, as if it looked at the origin, (..., 1)."""
+        """Return the lamp's light that is reflected into the camera, as if it looked at the origin, (..., 1)."""
         return GLOSS * (np.maximum(normals @ self._glossy_normal, 0.0) ** GLOSS_EXPONENT)[..., None]
 
     def _towards_camera(self, points: np.ndarray) -> np.ndarray:

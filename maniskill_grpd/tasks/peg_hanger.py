@@ -24,8 +24,9 @@ class PegHanger(Hanger):
 
     LENGTH = 0.25
     """From the plate to the tip [m]."""
-    RADIUS = 0.01
-    """Half the thickness of the peg [m]."""
+    RADIUS = 0.015
+    """Half the thickness of the peg [m]. With the cloth's it is more than the inner circle of a triangle at 100 nodes (1.3 cm): a
+    thinner peg would pierce between the edges, which are what touches it."""
     PLATE_RADIUS_PER_HOLE_RADIUS = 1.7
     PLATE_HALF_THICKNESS = 0.01
     """[m]."""
@@ -62,7 +63,7 @@ class PegHanger(Hanger):
 
     def distances_to(self, points: torch.Tensor, point: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
         """See `Hanger.distances_to`."""
-        return distances_to_segment(points, point - self.RADIUS * axis, (self.RADIUS - self.LENGTH) * axis) - self.RADIUS
+        return distances_to_segment(points, point - self.RADIUS * axis, (2.0 * self.RADIUS - self.LENGTH) * axis) - self.RADIUS
 
     def measure(self, solver: Solver, loop: torch.Tensor, point: torch.Tensor, axis: torch.Tensor) -> Hanging:
         """See `Hanger.measure`; the seat is the hole."""

@@ -7,20 +7,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from mani_skill.utils.geometry.rotation_conversions import quaternion_apply
+from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, rope
 from maniskill_grpd.tasks import channels
+from maniskill_grpd.tasks.collider_solids import collider_solids
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing, Solid, Tube
+from maniskill_grpd.tasks.drawing import Drawing, Tube
 from maniskill_grpd.tasks.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.node_statistics import mean_over_nodes
 from maniskill_grpd.tasks.post_leash import limit_around_post
 from maniskill_grpd.tasks.posts import POST_HEIGHT, POSTS
 from maniskill_grpd.tasks.resolutions import check_resolutions
-from maniskill_grpd.tasks.winding import angles_between, arms_from_axis, turning_angles, winding_number
+from maniskill_grpd.tasks.winding import angles_between, turning_angles, winding_number
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""
@@ -153,10 +154,11 @@ class RopeWrappingEnv(DeformableEnv):
         for index, model in enumerate(self.models):
             along[index, : model.num_nodes] = model.rest_positions[:, 0]
         ends = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
-        radii = [POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes]
-        is_shape = [[float(name == shape) for name in POSTS] for shape in self.shapes]
-        self._along, self._end_nodes = (torch.as_tensor(table, device=self.device) for table in (along, ends))
-        self._taut_radii, self._is_shape = (torch.tensor(table, device=self.device) for table in (radii, is_shape))
+        radii = np.array([POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes])
+        is_shape = np.array([[name == shape for name in POSTS] for shape in self.shapes], np.float32)
+        self._along, self._end_nodes, self._taut_radii, self._is_shape = (
+            torch.as_tensor(table, device=self.device) for table in (along, ends, radii, is_shape)
+        )
 
     def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         variant = self.solver.variants[worlds].long()
@@ -197,62 +199,64 @@ class RopeWrappingEnv(DeformableEnv):
     # ------------------------------------------------------------------ one control step
 
     @property
-    def post_origin(self) -> torch.Tensor:
-        """Middle of the post of each world, (B, 3) [m]."""
-        return self.solver.collider_positions[:, 0]
+    def post_rotation(self) -> torch.Tensor:
+        """Rotation of each post, (B, 3, 3); its columns are the axes of the post's frame, the last one that of the post."""
+        return quaternion_to_matrix(self.solver.collider_rotations[:, 0])
 
-    @property
-    def post_axis(self) -> torch.Tensor:
-        """Unit vector from the base to the top of each post, (B, 3)."""
-        return quaternion_apply(self.solver.collider_rotations[:, 0], self.post_origin.new_tensor([0.0, 0.0, 1.0]))
+    def in_post_frame(self, points: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+        """Return points (B, n, 3) [m] in the frame of the post: from the middle of its base, z along its axis."""
+        base = self.solver.collider_positions[:, 0] - POST_HEIGHT / 2 * rotation[:, :, 2]
+        return (points - base[:, None]) @ rotation
 
-    @property
-    def winding(self) -> torch.Tensor:
-        """Winding number of the rope about the post, positive if counter-clockwise from its first node to its last, (B,)."""
-        arms = arms_from_axis(self.solver.positions, self.post_origin, self.post_axis)
-        return winding_number(arms, self.solver.node_mask, self.post_axis)
+    def signed_winding(self, rotation: torch.Tensor) -> torch.Tensor:
+        """Return the winding number of the rope about the post, (B,), positive if counter-clockwise from its first node on."""
+        return winding_number(self.in_post_frame(self.solver.positions, rotation)[..., :2], self.solver.node_mask)
 
     def _before_simulation_step(self) -> None:
         super()._before_simulation_step()
-        self.solver.gripper_targets.copy_(self._reachable_targets())
+        self._shorten_reach()
 
-    def _reachable_targets(self) -> torch.Tensor:
-        """Draw gripper targets together so far that the rope reaches around the post, (B, 2, 3) [m].
+    def _shorten_reach(self) -> None:
+        """Draw gripper targets together until the rope reaches from one to the other around the post, if it is beside it.
 
-        Not where the rope is above the post.
+        In double precision: float32 angles round differently at different places of a batch, and targets must not.
         """
-        solver, origin, axis = self.solver, self.post_origin, self.post_axis
-        arms = arms_from_axis(solver.positions, origin, axis)
-        turned = torch.nn.functional.pad(turning_angles(arms, solver.node_mask, axis).cumsum(dim=1), (1, 0))
+        solver, rotation = self.solver, self.post_rotation.double()
+        rope, starts, ends = (
+            self.in_post_frame(points.double(), rotation)
+            for points in (solver.positions, solver.gripper_positions, solver.gripper_targets)
+        )
+        turned = torch.nn.functional.pad(turning_angles(rope[..., :2], solver.node_mask).cumsum(dim=1), (1, 0))
         turned = turned.gather(1, solver.gripper_nodes.long().clamp(min=0))
-        starts, ends = (arms_from_axis(points, origin, axis) for points in (solver.gripper_positions, solver.gripper_targets))
-        turned = turned + angles_between(starts, ends, axis)
-        is_beside = (self._heights(solver.positions) <= POST_HEIGHT) & solver.node_mask
-        length = torch.where(is_beside.any(dim=1), solver.leashes[:, 0, 1], torch.inf)
-        radius = self._taut_radii[solver.collider_active.long().argmax(dim=1)]
-        return limit_around_post(solver.gripper_targets, turned[:, 1] - turned[:, 0], length, radius, origin, axis)
+        turned = turned + angles_between(starts[..., :2], ends[..., :2])
+        is_beside = ((rope[..., 2] <= POST_HEIGHT) & solver.node_mask).any(dim=1)
+        length = torch.where(is_beside, solver.leashes[:, 0, 1].double(), torch.inf)
+        limited = limit_around_post(ends, turned[:, 1] - turned[:, 0], length, self._taut_radii[self._shape_of_worlds])
+        solver.gripper_targets.copy_(solver.gripper_targets + (limited - ends) @ rotation.mT)
 
-    def _heights(self, points: torch.Tensor) -> torch.Tensor:
-        """Return the heights of points (B, n, 3) above the base of the post, along its axis, (B, n) [m]."""
-        return ((points - self.post_origin[:, None]) * self.post_axis[:, None]).sum(-1) + POST_HEIGHT / 2
+    @property
+    def _shape_of_worlds(self) -> torch.Tensor:
+        """Index of the shape of each post in `shapes`, (B,) int64."""
+        return self.solver.collider_active.long().argmax(dim=1)
 
     def evaluate(self) -> dict[str, torch.Tensor]:
         """Measure how far the rope is closed around the post; the observation reuses it."""
-        mask = self.solver.node_mask
-        ends = self._end_nodes[self.solver.variants.long()]
-        first, last = self.solver.positions.gather(1, ends[..., None].expand(-1, -1, 3)).unbind(1)
+        solver = self.solver
+        self._rotation = self.post_rotation
+        self._rope = self.in_post_frame(solver.positions, self._rotation)
+        self._winding = winding_number(self._rope[..., :2], solver.node_mask).abs()
+        ends = self._end_nodes[solver.variants.long()]
+        first, last = solver.positions.gather(1, ends[..., None].expand(-1, -1, 3)).unbind(1)
         gap = torch.linalg.vector_norm(last - first, dim=-1)
-        heights = self._heights(self.solver.positions)
-        is_at_height = (heights >= 0.0) & (heights <= POST_HEIGHT)
-        self._turns = winding = self.winding.abs()
-        fail = self.solver.frozen.clone()
-        is_closed = (winding >= self.WINDING_LIMIT) & (gap <= self.ENDS_LIMIT)
+        is_at_height = (self._rope[..., 2] >= 0.0) & (self._rope[..., 2] <= POST_HEIGHT)
+        fail = solver.frozen.clone()
+        is_closed = (self._winding >= self.WINDING_LIMIT) & (gap <= self.ENDS_LIMIT)
         return {
-            "success": is_closed & (is_at_height | ~mask).all(dim=1) & ~fail,
+            "success": is_closed & (is_at_height | ~solver.node_mask).all(dim=1) & ~fail,
             "fail": fail,
-            "winding": winding,
+            "winding": self._winding.clone(),
             "ends_distance": gap,
-            "share_at_height": mean_over_nodes(is_at_height, mask),
+            "share_at_height": mean_over_nodes(is_at_height, solver.node_mask),
         }
 
     def compute_dense_reward(
@@ -271,30 +275,30 @@ class RopeWrappingEnv(DeformableEnv):
         return reward * ~info["fail"]
 
     def _object_values(self) -> dict[str, torch.Tensor]:
-        return self._post_values(self.solver.positions)
+        return self._post_values(self._rope)
 
     def _gripper_values(self) -> dict[str, torch.Tensor]:
         grippers = self.solver.gripper_positions
         offsets = grippers.flip(1) - grippers
-        return self._post_values(grippers) | {
+        return self._post_values(self.in_post_frame(grippers, self._rotation)) | {
             "partner_offset": offsets,
             "partner_distance": torch.linalg.vector_norm(offsets, dim=-1),
-            "winding": self._turns[:, None].expand(-1, 2),
+            "winding": self._winding[:, None].expand(-1, 2),
         }
 
-    def _post_values(self, points: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the channels of the post at points (B, n, 3)."""
-        arms = arms_from_axis(points, self.post_origin, self.post_axis)
-        is_shape = self._is_shape[self.solver.collider_active.long().argmax(dim=1)]
+    def _post_values(self, local: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the channels of the post at points (B, n, 3) of its frame."""
+        is_shape = self._is_shape[self._shape_of_worlds, :, None].expand(-1, -1, local.shape[1])
         return {
-            "post_axis": self.post_axis[:, None].expand_as(points),
-            "post_offset": -arms,
-            "post_distance": torch.linalg.vector_norm(arms, dim=-1),
-            "post_height": self._heights(points),
-        } | {f"post_is_{name}": is_shape[:, index, None].expand(arms.shape[:2]) for index, name in enumerate(POSTS)}
+            "post_axis": self._rotation[:, None, :, 2].expand_as(local),
+            "post_offset": -local[..., :2] @ self._rotation[:, :, :2].mT,
+            "post_distance": torch.linalg.vector_norm(local[..., :2], dim=-1),
+            "post_height": local[..., 2],
+        } | {f"post_is_{name}": is_shape[:, index] for index, name in enumerate(POSTS)}
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
-        obs = {"post_pose": torch.cat([self.post_origin, self.solver.collider_rotations[:, 0]], dim=1)}
+        pose = torch.cat([self.solver.collider_positions[:, 0], self.solver.collider_rotations[:, 0]], dim=1)
+        obs = {"post_pose": pose, "post_shape": self._is_shape[self._shape_of_worlds]}
         if self.obs_mode_struct.use_state:
             obs["rope_positions"] = self.solver.positions.flatten(1).clone()
             obs["rope_velocities"] = self.solver.velocities.flatten(1).clone()
@@ -304,19 +308,11 @@ class RopeWrappingEnv(DeformableEnv):
         solver = self.solver
         return Drawing(
             object=Tube(self._nodes_of(world, solver.positions), solver.model.radius),
-            solids=(self._solid(world),),
+            solids=collider_solids(solver, world),
             grippers=solver.gripper_positions[world].cpu().numpy(),
             closed=solver.closed[world].cpu().numpy(),
             is_solved=bool(self.evaluate()["success"][world]),
         )
-
-    def _solid(self, world: int) -> Solid:
-        """Return the post of a world, where it stands."""
-        vertices, faces = POSTS[self.shapes[int(self.solver.collider_active[world].long().argmax())]].solid()
-        rotation = self.solver.collider_rotations[world, 0]
-        local = torch.as_tensor(vertices, dtype=torch.float32, device=self.device)
-        placed = quaternion_apply(rotation.expand(len(local), 4), local) + self.post_origin[world]
-        return Solid(placed.cpu().numpy(), faces)
 
 
 def _check_shapes(shapes: str | Sequence[str]) -> tuple[str, ...]:

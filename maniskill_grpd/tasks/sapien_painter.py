@@ -79,11 +79,9 @@ def _sheet_sides(sheet: Surface) -> list[Side]:
 
 def _goal_shapes(drawing: Drawing) -> list[sapien.render.RenderShape]:
     color = palette.SOLVED if drawing.is_solved else palette.GOAL
-    marks = mark_surface(drawing)
+    marks, ghost = mark_surface(drawing), ghost_surface(drawing)
     shapes = [_shape(marks, color)] if len(marks.faces) else []
-    if drawing.goal is not None:
-        shapes.append(_shape(ghost_surface(drawing.goal), color, GHOST_ALPHA))
-    return shapes
+    return shapes if ghost is None else [*shapes, _shape(ghost, color, GHOST_ALPHA)]
 
 
 def _shadow_shape(surface: Surface) -> sapien.render.RenderShape:

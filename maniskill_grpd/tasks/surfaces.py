@@ -16,7 +16,7 @@ CAP_RINGS = 3
 """Rings of vertices of the round ends of tubes."""
 CREASE_ANGLE = np.deg2rad(35.0)
 """Faces of solids that meet at a smaller angle are shaded as one smooth surface [rad]."""
-GHOST_THICKNESS = 1.6
+GHOST_THICKNESS = 1.45
 """Radius of the ghost of a rope in radii of the rope."""
 MARK_RADIUS = 0.0025
 """Half the thickness of outlines and lines [m]."""
@@ -100,9 +100,16 @@ def tube_surface(points: np.ndarray, radius: float) -> Surface:
     return Surface(vertices.reshape(-1, 3), _grid_faces(len(knots)), normals.reshape(-1, 3))
 
 
-def ghost_surface(goal: Tube | Sheet) -> Surface:
-    """Return the body of a goal; that of a rope is thicker than the rope, so that it can be seen around one."""
-    return tube_surface(goal.points, GHOST_THICKNESS * goal.radius) if isinstance(goal, Tube) else sheet_surface(goal)
+def ghost_surface(drawing: Drawing) -> Surface | None:
+    """Return the body of a goal, None where it has none.
+
+    That of a rope is thicker than the rope, so that it can be seen around one. A cloth that lies where it should takes its place:
+    two sheets in one place would show through each other in patches.
+    """
+    goal = drawing.goal
+    if isinstance(goal, Tube):
+        return tube_surface(goal.points, GHOST_THICKNESS * goal.radius)
+    return None if goal is None or drawing.is_solved else sheet_surface(goal)
 
 
 def mark_surface(drawing: Drawing) -> Surface:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
@@ -19,8 +20,8 @@ from maniskill_grpd.tasks.painters import Painter
 
 FRAME_WIDTH = 0.015
 """Width of the frames of solved worlds in heights of a picture."""
-AMBIENT_LIGHT, DIRECT_LIGHT = 0.35, 2.0
-"""Strengths of SAPIEN's lights."""
+AMBIENT_LIGHT, DIRECT_LIGHT, FILL_LIGHT = 0.30, 1.7, 0.6
+"""Strengths of SAPIEN's lights: from everywhere, from the lamp, from the camera."""
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
@@ -36,6 +37,8 @@ class WorldPictures(BaseEnv):
     """Where the cameras stand [m]; by default above the near edge of the table, to see all of it that matters."""
     CAMERA_TARGET = (0.0, -0.05, 0.0)
     """Where they look [m]."""
+    CAMERA_FOV = 0.95
+    """Their vertical field of view [rad]."""
 
     scene: BatchedScene
     _painter: Painter
@@ -61,7 +64,7 @@ class WorldPictures(BaseEnv):
             pose=pose,
             width=size,
             height=size,
-            fov=0.95,
+            fov=self.CAMERA_FOV,
             near=0.01,
             far=10.0,
             shader_pack=shader_pack,
@@ -70,6 +73,8 @@ class WorldPictures(BaseEnv):
     def _load_lighting(self, options: dict) -> None:
         self.scene.set_ambient_light([AMBIENT_LIGHT] * 3)
         self.scene.add_directional_light(-palette.LIGHT_DIRECTION, [DIRECT_LIGHT] * 3)
+        view = np.subtract(self.CAMERA_TARGET, self.CAMERA_POSITION)
+        self.scene.add_directional_light(view, [FILL_LIGHT] * 3)
 
     def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
         """Return one image per world, (min(B, 16), H, W, 3) uint8; those of solved worlds have a green frame."""

@@ -8,9 +8,17 @@ import torch
 from maniskill_grpd.learning.bpp import BPP
 from maniskill_grpd.learning.ppo import PPO
 from maniskill_grpd.learning.rollout import Batch
+from maniskill_grpd.learning.trust_region import Bounds
 from maniskill_grpd.policies import ActionDistribution
 
-BPP_OPTIONS = {"mean_bound": 0.05, "cov_bound": 0.005, "trust_region_coef": 1.0, "ent_coef": 0.0}
+BOUNDS = Bounds(mean=0.05, cov=0.005, gripper=0.01)
+BPP_OPTIONS = {"bounds": BOUNDS, "trust_region_coef": 1.0, "ent_coef": 0.0}
+
+
+def losses(algorithm, dist, batch):
+    """Return the loss and all metrics of a minibatch."""
+    loss, metrics = algorithm.policy_loss(dist, batch)
+    return loss, {**metrics, **algorithm.diagnose(dist, batch)}
 
 
 def make_batch(size=32, num_actuators=2, seed=0):
@@ -43,7 +51,7 @@ def shifted(old, mean_shift=0.0, std_factor=1.0, mask=None):
 def test_bpp_at_the_old_policy_is_the_plain_policy_gradient():
     batch, old = make_batch()
     dist = shifted(old)
-    loss, metrics = BPP(**BPP_OPTIONS).policy_loss(dist, batch)
+    loss, metrics = losses(BPP(**BPP_OPTIONS), dist, batch)
     assert metrics["trust_region_loss"] == 0.0
     assert metrics["kl_raw_max"] == metrics["kl_projected_max"] == 0.0
     assert metrics["mean_bound_active"] == metrics["cov_bound_active"] == 0.0
@@ -57,7 +65,7 @@ def test_bpp_at_the_old_policy_is_the_plain_policy_gradient():
 
 def test_bpp_bounds_the_projected_policy_and_reports_the_raw_one():
     batch, old = make_batch()
-    _, metrics = BPP(**BPP_OPTIONS).policy_loss(shifted(old, mean_shift=1.0, std_factor=2.0), batch)
+    _, metrics = losses(BPP(**BPP_OPTIONS), shifted(old, mean_shift=1.0, std_factor=2.0), batch)
     assert metrics["kl_projected_max"] <= 2 * (0.05 + 0.005) * (1 + 1e-5)
     assert metrics["kl_projected_mean_part_max"] <= 0.05 * (1 + 1e-5)
     assert metrics["kl_projected_cov_part_max"] <= 0.005 * (1 + 1e-5)
@@ -70,7 +78,7 @@ def test_bpp_draws_a_clamped_std_back():
     batch, old = make_batch()
     for factor, sign in ((2.0, 1.0), (0.5, -1.0)):
         dist = shifted(old, std_factor=factor)
-        loss, _ = BPP(**BPP_OPTIONS).policy_loss(dist, batch)
+        loss, _ = losses(BPP(**BPP_OPTIONS), dist, batch)
         gradient = torch.autograd.grad(loss, dist.std)[0]
         assert (gradient * sign > 0).all()
 
@@ -83,7 +91,7 @@ def test_masked_actuators_do_not_count_in_either_algorithm():
         for garbage in (0.0, 7.0):
             dist = shifted(old, mean_shift=0.3, mask=mask)
             mean = dist.mean + garbage * torch.tensor([0.0, 1.0]).reshape(1, 2, 1)
-            results.append(algorithm.policy_loss(ActionDistribution(mean, dist.std, mask), batch))
+            results.append(losses(algorithm, ActionDistribution(mean, dist.std, mask), batch))
         (loss, metrics), (other_loss, other_metrics) = results
         torch.testing.assert_close(loss, other_loss)
         assert metrics.keys() == other_metrics.keys()
@@ -105,7 +113,7 @@ def test_ppo_clips_gains_only(ratio, advantage, expected):
     batch, old = make_batch(size=1)
     batch.advantages.fill_(advantage)
     batch.log_probs.sub_(math.log(ratio))
-    loss, metrics = PPO(clip_coef=0.2, ent_coef=0.0).policy_loss(shifted(old), batch)
+    loss, metrics = losses(PPO(clip_coef=0.2, ent_coef=0.0), shifted(old), batch)
     assert loss.item() == pytest.approx(expected, rel=1e-5)
     assert metrics["clipfrac"] == (ratio != 1.0)
 

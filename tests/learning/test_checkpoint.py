@@ -17,6 +17,7 @@ def contents(iteration=1, policy=None):
         "policy": policy.config,
         "weights": policy.state_dict(),
         "optimizer": torch.optim.Adam(policy.parameters()).state_dict(),
+        "algorithm": {"multipliers": {"mean": 1.0}},
         "value_scale": {"weight": 0.0, "mean": 0.0, "mean_square": 0.0},
         "generators": {"action": torch.Generator().get_state()},
         "train_config": TrainConfig().to_dict(),
@@ -34,6 +35,13 @@ def test_round_trip(tmp_path):
     assert loaded["train_config"] == saved["train_config"]
     torch.testing.assert_close(loaded["weights"], saved["weights"], rtol=0, atol=0)
     assert os.listdir(tmp_path) == ["a.pt"]
+
+
+def test_checkpoints_from_before_algorithms_had_a_state_are_read(tmp_path):
+    saved = contents()
+    del saved["algorithm"]
+    save_checkpoint(tmp_path / "a.pt", saved)
+    assert load_checkpoint(tmp_path / "a.pt")["algorithm"] == {}
 
 
 def test_missing_entries_are_refused_when_saving(tmp_path):

@@ -36,6 +36,20 @@ def test_unknown_fields_are_refused():
         ({"mean_bound": -1.0}, "mean_bound must be positive"),
         ({"gamma": 1.5}, r"gamma must lie in \[0, 1\]"),
         ({"ent_coef": -0.1}, "ent_coef must not be negative"),
+        ({"trust_region": "ball"}, "one of projection, lagrangian, fisher, got 'ball'"),
+        ({"lr_schedule": "step"}, "lr_schedule must be one of constant, linear, cosine"),
+        ({"ent_schedule": "step"}, "ent_schedule must be one of constant, linear, cosine"),
+        ({"best_metric": "speed"}, "one of success_at_end, success_once, return, got 'speed'"),
+        ({"resume": "runs/a", "checkpoint": "b.pt"}, "give one of them"),
+        ({"algorithm": "ppo", "trust_region": "fisher"}, "belongs to --algorithm bpp"),
+        ({"anneal_lr": True, "lr_schedule": "cosine"}, "give one of them"),
+        ({"ent_schedule": "linear"}, "set it too"),
+        ({"algorithm": "ppo", "entropy_floor": 0.0}, "projection only"),
+        ({"entropy_floor_final": 0.0}, "needs --entropy_floor"),
+        ({"trust_region": "fisher", "target_kl": 0.1}, "has a line search"),
+        ({"trust_region": "fisher", "compile": True}, "no second derivatives"),
+        ({"max_multiplier": 1.0}, "max_multiplier must be above 1"),
+        ({"position_noise": -0.1}, "position_noise must not be negative"),
         ({"env_kwargs": ("num_grippers",)}, "key=value"),
         ({"env_kwargs": ("a=1", "a=2")}, "'a' twice"),
     ],
@@ -43,6 +57,26 @@ def test_unknown_fields_are_refused():
 def test_bad_options_are_refused_with_a_way_out(options, message):
     with pytest.raises(ValueError, match=message):
         TrainConfig(**options)
+
+
+def test_schedules_start_at_the_first_value_and_go_to_the_last():
+    sizes = {"num_envs": 8, "num_steps": 10, "num_minibatches": 2, "total_timesteps": 800}
+    config = TrainConfig(
+        **sizes,
+        learning_rate=1e-3,
+        lr_schedule="cosine",
+        ent_coef=0.1,
+        ent_schedule="linear",
+        entropy_floor=2.0,
+        entropy_floor_final=-2.0,
+    )
+    start, middle, end = (config.coefficients(iteration) for iteration in (0, 5, 10))
+    assert (start.learning_rate, start.ent_coef, start.entropy_floor) == (1e-3, 0.1, 2.0)
+    assert middle.learning_rate == pytest.approx(5e-4)
+    assert (middle.ent_coef, middle.entropy_floor) == pytest.approx((0.05, 0.0))
+    assert end.learning_rate == pytest.approx(0.0, abs=1e-12)
+    constant = TrainConfig(**sizes)
+    assert constant.coefficients(0) == constant.coefficients(9)
 
 
 def test_pairs_are_parsed_as_json_or_strings():

@@ -13,6 +13,7 @@ import torch
 from run_toy import CONFIG, make_toy_trainer
 from toy_env import ToyEnv, ToyPolicy
 
+import maniskill_grpd
 from maniskill_grpd.learning import (
     CheckpointError,
     NonFiniteError,
@@ -22,6 +23,14 @@ from maniskill_grpd.learning import (
 )
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.learning.trainer import FIRST_TRAINING_SEED, episode_seeds
+from maniskill_grpd.learning.update import FirstOrderAlgorithm
+
+SUBPROCESS_ENV = {
+    **os.environ,
+    "OMP_NUM_THREADS": "1",
+    # The package under test, also where another copy is installed.
+    "PYTHONPATH": str(Path(maniskill_grpd.__file__).parents[1]),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -93,7 +102,7 @@ def test_a_killed_and_resumed_run_ends_bitwise_like_an_unbroken_one(tmp_path, un
     done = subprocess.run(
         [sys.executable, str(script), str(tmp_path), str(kill_at)],
         capture_output=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        env=SUBPROCESS_ENV,
         timeout=100,
         check=False,
     )
@@ -129,7 +138,7 @@ def test_new_runs_start_from_given_weights(tmp_path, unbroken):
     trainer.load_weights(unbroken / "final_ckpt.pt")
     expected = load_checkpoint(unbroken / "final_ckpt.pt")["weights"]
     torch.testing.assert_close(trainer.policy.state_dict(), expected, rtol=0, atol=0)
-    assert trainer.iteration == 0
+    assert trainer.state.iteration == 0
 
 
 def test_metrics_carry_maniskill_names(unbroken):
@@ -209,7 +218,7 @@ def test_old_and_new_policy_see_the_same_scales(tmp_path, freeze):
     config = dataclasses.replace(CONFIG, normalizer_freeze_steps=freeze, eval_freq=0)
     trainer = make_toy_trainer(tmp_path, config)
     probe = FirstRatios(trainer, config)
-    trainer._algorithm = probe
+    trainer.state.algorithm = probe
     trainer.train()
     assert len(probe.errors) == 9
     assert max(probe.errors) < 1e-5
@@ -218,11 +227,12 @@ def test_old_and_new_policy_see_the_same_scales(tmp_path, freeze):
     assert (counts[-1] == counts[3]) == (freeze is not None)
 
 
-class FirstRatios:
+class FirstRatios(FirstOrderAlgorithm):
     """Passes losses through and notes how far the first ratio of each iteration is from one."""
 
     def __init__(self, trainer, config):
-        self.inner, self.trainer = trainer._algorithm, trainer
+        super().__init__(ent_coef=0.0)
+        self.inner, self.trainer = trainer.state.algorithm, trainer
         self.period = config.update_epochs * config.num_minibatches
         self.calls, self.errors, self.counts = 0, [], []
 
@@ -234,6 +244,10 @@ class FirstRatios:
             self.counts.append(self.trainer.policy.normalizer.object_count.item())
         self.calls += 1
         return self.inner.policy_loss(dist, batch)
+
+    def diagnose(self, dist, batch):
+        """Pass metrics through."""
+        return self.inner.diagnose(dist, batch)
 
 
 def test_training_seeds_are_apart_from_evaluation_seeds_and_from_each_other():

@@ -8,7 +8,7 @@ from maniskill_grpd.learning import NonFiniteError, TrainConfig
 from maniskill_grpd.learning.algorithm import make_algorithm
 from maniskill_grpd.learning.collector import Collector
 from maniskill_grpd.learning.rollout import graph_items
-from maniskill_grpd.learning.update import update_policy
+from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner
 from maniskill_grpd.learning.value_scale import ValueScale
 
 CONFIG = TrainConfig(
@@ -26,16 +26,18 @@ def collect(policy, env=None, scale=None):
     return rollout, episodes
 
 
-def run_update(policy, rollout, config=CONFIG, algorithm=None):
-    return update_policy(
-        policy,
-        torch.optim.Adam(policy.parameters(), lr=1e-3),
-        algorithm or make_algorithm(config),
-        rollout,
-        ValueScale(),
-        config,
-        torch.Generator().manual_seed(0),
+def make_learner(policy, config=CONFIG):
+    return Learner(
+        policy=policy,
+        optimizer=torch.optim.Adam(policy.parameters(), lr=1e-3),
+        value_scale=ValueScale(),
+        config=config,
+        generator=torch.Generator().manual_seed(0),
     )
+
+
+def run_update(policy, rollout, config=CONFIG, algorithm=None):
+    return (algorithm or make_algorithm(config)).update(make_learner(policy, config), rollout)
 
 
 def test_a_rollout_holds_what_the_environment_gave():
@@ -84,11 +86,16 @@ def test_a_graph_that_changes_its_shape_is_refused():
         rollout.store_graph(0, graph)
 
 
-class RatioProbe:
+class RatioProbe(FirstOrderAlgorithm):
     """An algorithm that notes the probability ratio of every minibatch and leaves the policy alone."""
 
     def __init__(self):
+        super().__init__(ent_coef=0.0)
         self.ratios = []
+
+    def diagnose(self, dist, batch):
+        """Report nothing more."""
+        return {}
 
     def policy_loss(self, dist, batch):
         """Note the ratios."""

@@ -36,12 +36,21 @@ class ToyEnv:
         max_steps: Time limit.
         stagger: Spread the first time-outs over the environments, to cut episodes inside rollouts.
         auto_reset: Reset an ended episode in the same step; False steps on like a plain environment.
+        gripper: Actions hold a fourth number per actuator, which should be 1 where the goal is up.
         break_at: Step count at which the reward ("reward") or observation ("obs") turns NaN.
     """
 
     def __init__(
-        self, num_envs, num_actuators=2, max_steps=10, stagger=False, auto_reset=True, break_at=None
+        self,
+        num_envs,
+        num_actuators=2,
+        max_steps=10,
+        stagger=False,
+        auto_reset=True,
+        gripper=False,
+        break_at=None,
     ):
+        self.gripper = gripper
         self.num_envs, self.num_actuators, self.max_steps = num_envs, num_actuators, max_steps
         self.stagger, self.auto_reset = stagger, auto_reset
         self.break_at = break_at or (-1, "")
@@ -65,12 +74,16 @@ class ToyEnv:
     def step(self, action):
         """Move the actuators; never terminates, only times out."""
         self.total_steps += 1
-        action = action.view(self.num_envs, self.num_actuators, 3)
+        action = action.view(self.num_envs, self.num_actuators, 4 if self.gripper else 3)
+        grip_is_right = (action[..., -1] > 0) == (self.goal[..., 2] > 0)
+        action = action[..., :3]
         action = action / action.norm(dim=-1, keepdim=True).clamp(min=1.0)
         self.position = self.position + STEP_SIZE * action
         self.elapsed = self.elapsed + 1
         distance = (self.goal - self.position).norm(dim=-1).mean(-1)
         reward = 1.0 - torch.tanh(3.0 * distance)
+        if self.gripper:
+            reward = 0.5 * (reward + grip_is_right.float().mean(-1))
         if self.break_at == (self.total_steps, "reward"):
             reward[0] = torch.nan
         success = distance < 0.1
@@ -125,8 +138,9 @@ class ToyEnv:
 class ToyPolicy(nn.Module):
     """Every actuator decides by itself from its goal offset; the interface of a real policy."""
 
-    def __init__(self, seed=0, hidden_dim=16):
+    def __init__(self, seed=0, hidden_dim=16, gripper=False):
         super().__init__()
+        self.schema = SCHEMA
         self.config = {
             "name": "toy",
             "schema": SCHEMA.to_dict(),
@@ -137,6 +151,7 @@ class ToyPolicy(nn.Module):
             torch.manual_seed(seed)
             self.trunk = nn.Sequential(nn.Linear(4, hidden_dim), nn.Tanh())
             self.mean = nn.Linear(hidden_dim, 3)
+            self.gripper = nn.Linear(4, 1) if gripper else None
             self.critic = nn.Sequential(
                 nn.Linear(4, hidden_dim), nn.Tanh(), nn.Linear(hidden_dim, 1)
             )
@@ -149,7 +164,9 @@ class ToyPolicy(nn.Module):
         x = torch.cat([nodes["vectors"].flatten(2), nodes["scalars"]], -1)
         mean = self.mean(self.trunk(x))
         std = self.log_std.exp().expand(mean.shape[:-1]).unsqueeze(-1)
-        return ActionDistribution(mean, std, nodes["mask"]), self.critic(x).mean((1, 2))
+        logits = None if self.gripper is None else self.gripper(x).squeeze(-1)
+        dist = ActionDistribution(mean, std, nodes["mask"], logits)
+        return dist, self.critic(x).mean((1, 2))
 
     def distribution(self, graph):
         """Return the distribution alone."""
@@ -162,4 +179,4 @@ class ToyPolicy(nn.Module):
     def act(self, graph, deterministic=False, generator=None):
         """Return actions."""
         dist = self.distribution(graph)
-        return dist.mean.flatten(1) if deterministic else dist.sample(generator)
+        return dist.mode if deterministic else dist.sample(generator)

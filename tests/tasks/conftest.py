@@ -16,15 +16,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
-def make_env(monkeypatch):
-    """Return a function that makes RopeShaping-v1 on the CPU, reset with seed 0."""
+def make_env(monkeypatch, request):
+    """Return a function that makes the module's `ENV_ID`, by default RopeShaping-v1, on the CPU, reset with seed 0."""
+    env_id = getattr(request.module, "ENV_ID", "RopeShaping-v1")
     # ManiSkill collects garbage whenever it builds or closes a scene: most of the tests' time.
     monkeypatch.setattr(gc, "collect", lambda: 0)
     made = []
 
     def make(num_envs=3, **options):
         settings = {"sim_backend": "cpu", "render_backend": "none", **options}
-        made.append(gym.make("RopeShaping-v1", num_envs=num_envs, **settings))
+        made.append(gym.make(env_id, num_envs=num_envs, **settings))
         made[-1].reset(seed=0)
         return made[-1]
 

@@ -23,6 +23,7 @@ from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet, Solid, Tube
 from maniskill_grpd.tasks.surfaces import (
     boundary_loops,
     dashes,
+    ghost_surface,
     gripper_surfaces,
     mark_surface,
     shadow_surface,
@@ -183,6 +184,16 @@ def test_marks_are_the_outline_of_a_cloth_and_the_lines(holed):
     line = Line(np.array([[0.0, -0.3, 0.0], [0.0, 0.3, 0.0]]))
     both = mark_surface(drawing(goal=goal, lines=(line,))).vertices
     assert np.ptp(both[:, 1]) == pytest.approx(0.605, abs=1e-3)
+
+
+def test_a_cloth_that_is_where_it_should_be_takes_the_place_of_its_goal(holed):
+    goal = Sheet(holed.rest_positions, holed.faces)
+    assert ghost_surface(drawing()) is None
+    assert len(ghost_surface(drawing(goal=goal)).faces) == len(holed.faces)
+    assert ghost_surface(drawing(goal=goal, is_solved=True)) is None
+    assert len(mark_surface(drawing(goal=goal, is_solved=True)).faces) > 0
+    rope = Tube(np.array([[0.0, 0.0, 0.01], [0.1, 0.0, 0.01]]), 0.01)
+    assert np.ptp(ghost_surface(drawing(goal=rope, is_solved=True)).vertices[:, 1]) > 0.025
 
 
 def test_shadows_lie_on_the_table_away_from_the_light():

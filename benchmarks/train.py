@@ -1,0 +1,179 @@
+"""Measure env-steps/s of whole training iterations, beside a learner in the style of ManiSkill's stock PPO.
+
+python benchmarks/train.py [--quick] [--processes] [--json FILE] [--markdown FILE]
+
+Three learners take turns on one core with the same task, environments and steps per iteration: grpd with bpp, grpd with ppo, and
+dense networks on the flat state (stock_ppo.py). Share of each phase: simulation, policy in the rollout, update. --processes also
+runs grpd with bpp in two processes on the same batch, in turns with one process, as torchrun would.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from machine import describe_machine
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "baselines"))
+
+from run_setup import make_vector_env  # noqa: E402
+from stock_ppo import StockPPO  # noqa: E402
+
+from maniskill_grpd.learning import TrainConfig, Trainer  # noqa: E402
+from maniskill_grpd.learning.allocator import keep_freed_memory  # noqa: E402
+from maniskill_grpd.learning.run_log import read_rows  # noqa: E402
+from maniskill_grpd.policies import make_policy  # noqa: E402
+
+PEER = "dense networks, ppo (stock style)"
+
+SIZES = {"env_id": "RopeShaping-v1", "num_envs": 64, "eval_freq": 0, "save_model": False, "capture_video": False}
+
+
+def make_ours(algorithm: str, folder: str, **options: Any) -> Trainer:
+    """Make the trainer of a run with default options."""
+    config = TrainConfig(algorithm=algorithm, **SIZES, **options)
+    envs = make_vector_env(config, config.num_envs, partial_reset=False)
+    torch.manual_seed(1)
+    trainer = Trainer(config, make_policy("grpd", envs.unwrapped.graph_schema), envs, None, folder)
+    trainer.prepare()
+    return trainer
+
+
+def make_peer(num_steps: int) -> StockPPO:
+    """Make the stock learner on the same task, seen as a flat state."""
+    config = TrainConfig(**SIZES, env_kwargs=("obs_mode=state",))
+    torch.manual_seed(1)
+    return StockPPO(make_vector_env(config, config.num_envs, partial_reset=False), num_steps)
+
+
+def measure(repeats: int, options: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return one row per learner, ours with the ratio to the peer."""
+    steps = TrainConfig(**SIZES).batch_size
+    with tempfile.TemporaryDirectory() as bpp, tempfile.TemporaryDirectory() as ppo:
+        learners = {
+            "grpd, bpp": make_ours("bpp", bpp, **options),
+            "grpd, ppo": make_ours("ppo", ppo, **options),
+            PEER: make_peer(TrainConfig(**SIZES).num_steps),
+        }
+        for learner in learners.values():
+            learner.run_iteration()  # warm-up
+        timings: dict[str, list[dict[str, float]]] = {name: [] for name in learners}
+        for _ in range(repeats):
+            for name, learner in learners.items():
+                learner.run_iteration()
+                timings[name].append(dict(learner.times))
+        learners["grpd, bpp"].close()
+        learners["grpd, ppo"].close()
+    rows = [summarize(name, times, steps) for name, times in timings.items()]
+    peer = next(row for row in rows if row["learner"] == PEER)
+    for row in rows:
+        if row is not peer:
+            row |= {"peer": PEER, "ratio": row["env_steps_per_s"] / peer["env_steps_per_s"]}
+    return rows
+
+
+def summarize(name: str, timings: list[dict[str, float]], steps: int) -> dict[str, Any]:
+    """Return rate and shares of the phases of a learner."""
+    rates = [steps / (times["rollout"] + times["update"]) for times in timings]
+    totals = {phase: sum(times[phase] for times in timings) for phase in ("rollout", "env", "update")}
+    whole = totals["rollout"] + totals["update"]
+    return {
+        "learner": name,
+        "env_steps_per_s": statistics.median(rates),
+        "min": min(rates),
+        "max": max(rates),
+        "share_simulation": totals["env"] / whole,
+        "share_policy": (totals["rollout"] - totals["env"]) / whole,
+        "share_update": totals["update"] / whole,
+    }
+
+
+def measure_processes(repeats: int) -> list[dict[str, Any]]:
+    """Return a row for one process and one for two, which take turns with the same global batch."""
+    rates: dict[int, list[float]] = {1: [], 2: []}
+    for _ in range(repeats):
+        for count, found in rates.items():
+            found.append(run_processes(count))
+    rows = [
+        {
+            "learner": f"grpd, bpp, {count} process(es)",
+            "env_steps_per_s": statistics.median(found),
+            "min": min(found),
+            "max": max(found),
+        }
+        for count, found in rates.items()
+    ]
+    rows[1] |= {"peer": rows[0]["learner"], "ratio": rows[1]["env_steps_per_s"] / rows[0]["env_steps_per_s"]}
+    return rows
+
+
+def run_processes(count: int, iterations: int = 3) -> float:
+    """Return env-steps/s of a training in some processes, without its start and first iteration."""
+    steps = TrainConfig(**SIZES).batch_size
+    command = [sys.executable]
+    if count > 1:
+        command += ["-m", "torch.distributed.run", "--standalone", f"--nproc_per_node={count}"]
+    command += [str(ROOT / "baselines" / "train.py"), "--exp_name", "benchmark", "--eval_freq", "0", "--no-save_model"]
+    command += ["--no-capture_video", "--total_timesteps", str(steps * (iterations + 1))]
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True)
+        rows = read_rows(Path(folder) / "runs" / "benchmark" / "metrics.jsonl", "train")
+    return steps / statistics.median(row["time/rollout_time"] + row["time/update_time"] for row in rows[1:])
+
+
+def to_markdown(rows: list[dict[str, Any]]) -> str:
+    """Format rows as a table."""
+    lines = [
+        "| learner | env-steps/s (median) | min - max | simulation | policy in rollout | update | times the peer |",
+        "|---|--:|--:|--:|--:|--:|--:|",
+    ]
+    for row in rows:
+        shares = (f"{row[key]:.0%}" if key in row else "" for key in ("share_simulation", "share_policy", "share_update"))
+        ratio = f"{row['ratio']:.2f}" if "ratio" in row else ""
+        spread = f"{row['min']:,.0f} - {row['max']:,.0f}"
+        lines.append(f"| {row['learner']} | {row['env_steps_per_s']:,.0f} | {spread} | {' | '.join(shares)} | {ratio} |")
+    return "\n".join(lines) + "\n"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Parse the command line, measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="short measurements, for a look rather than for the record")
+    parser.add_argument("--processes", action="store_true", help="also compare two processes with one")
+    parser.add_argument("--compile", action="store_true", help="compile the policy for updates")
+    parser.add_argument("--json", type=Path, help="file for the rows")
+    parser.add_argument("--markdown", type=Path, help="file for the table")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    keep_freed_memory()
+    repeats = 1 if options.quick else 5
+    rows = measure(repeats, {"compile": options.compile, **({"update_epochs": 1} if options.quick else {})})
+    if options.processes:
+        rows += measure_processes(repeats)
+    table = to_markdown(rows)
+    sys.stdout.write(table)
+    machine = describe_machine()
+    if options.json:
+        options.json.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n")
+    if options.markdown:
+        command = " ".join(["python benchmarks/train.py", *arguments])
+        place = ", ".join(f"{key} {value}" for key, value in machine.items())
+        options.markdown.write_text(
+            f"# Training throughput\n\n`{command}` on: {place}. Measured {time.strftime('%Y-%m-%d')}.\n\n{table}"
+        )
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
