@@ -95,6 +95,11 @@ def _provenance(data: StudyData) -> str:
     sentences.append(f"{states['finished']} runs finished, {states['failed']} failed.")
     devices = sorted({row.get("device_name") or row.get("device") or "unknown" for row in rows})
     commits = sorted({row.get("commit", "")[:12] or "unknown" for row in rows})
+    names = {run.name for run in runs}
+    tests = [row for (run, _), row in data.results.tests.items() if run in names]
+    episodes = sorted({row.get("num_episodes") or "unknown" for row in tests})
+    if episodes:
+        sentences.append(f"Episodes of each test, on seeds that training does not use: {', '.join(episodes)}.")
     sentences.append(f"Device: {', '.join(devices)}. Commit: {', '.join(commits)}.")
     return " ".join(sentences)
 
