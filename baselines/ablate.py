@@ -52,8 +52,8 @@ class AblateConfig:
     num_episodes: int = 100
     """episodes of each test"""
     train_options: tuple[str, ...] = ()
-    """options of train.py for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make runs of their own, which
-    --report finds by the same options"""
+    """options of train.py for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make runs of their own,
+    which --report finds by the same options"""
 
     launcher: Literal["local", "slurm"] = "local"
     """where jobs run: processes of this machine, or a Slurm cluster (needs submitit)"""
