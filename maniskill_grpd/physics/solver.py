@@ -12,11 +12,11 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernel_data import SelfContacts
+from maniskill_grpd.physics.kernel_data import Worlds
 from maniskill_grpd.physics.kernels import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.self_contact_functions import BLOCK, MAX_CONTACTS_PER_NODE, SLOTS
+from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
 from maniskill_grpd.physics.upload import choose_features, geodesic_table, upload_objects, upload_obstacles
 
 STANDARD_GRAVITY = 9.81
@@ -26,6 +26,13 @@ MIN_WORLDS_PER_THREAD = 16
 SMALL_BLOCK_DIM, LARGE_BLOCK_DIM, LARGE_OBJECT = 64, 256, 200
 # Searches for contacts of an object with itself in one control step.
 SEARCHES_PER_STEP = 4
+# How the kernel reads the tensors of the state.
+WORLD_TYPES = {
+    "variants": wp.int32, "gravity": wp.vec3, "plane": wp.vec4, "friction": wp.float32, "damping": wp.float32,
+    "stretch_scale": wp.float32, "bend_scale": wp.float32, "inverse_masses": wp.float32, "holder": wp.int32,
+    "hold_offsets": wp.vec3, "gripper_nodes": wp.int32, "leashes": wp.float32, "gripper_targets": wp.vec3,
+    "gripper_positions": wp.vec3, "gripper_forces": wp.vec3, "positions": wp.vec3, "velocities": wp.vec3, "frozen": wp.bool,
+}  # fmt: skip
 
 
 class Solver:
@@ -134,7 +141,8 @@ class Solver:
         self._allocate_variants()
         self._allocate_state()
         self._allocate_colliders()
-        self._allocate_scratch()
+        wp.init()
+        self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features, self.device)
         self._commands = self._record_commands(self._choose_num_threads(num_threads))
         self._pool = ThreadPoolExecutor(len(self._commands)) if len(self._commands) > 1 else None
 
@@ -318,6 +326,7 @@ class Solver:
             raise ValueError(f"variants must be in [0, {len(self.models) - 1}], got {variants.min()} to {variants.max()}")
         variants = variants.to(self.device, torch.int64)
         self.variants[world_idx] = variants.to(torch.int32)
+        self._groups.assign(self.variants)
         self.node_mask[world_idx] = self._node_masks[variants]
         self.inverse_masses[world_idx] = self._inverse_masses[variants]
         self.friction[world_idx] = self._friction[variants]
@@ -356,6 +365,7 @@ class Solver:
                 raise ValueError(f"state {name!r} must be (worlds, {width}), got {tuple(value.shape)}")
             tensor[rows] = value.reshape(-1, *tensor.shape[1:]).to(tensor)
         self.node_mask[rows] = self._node_masks[self.variants[rows].long()]
+        self._groups.assign(self.variants)
 
     @property
     def _state_tensors(self) -> dict[str, torch.Tensor]:
@@ -414,35 +424,6 @@ class Solver:
         self.collider_sizes = torch.as_tensor(sizes, device=device).repeat(self.num_worlds, 1, 1)
         self.collider_active = torch.ones(shape, dtype=torch.bool, device=device)
 
-    def _allocate_scratch(self) -> None:
-        """Allocate what the kernel needs within one step; nothing here outlives it."""
-        device, count, features = self.device, self.num_worlds, self._features
-
-        def scratch(*shape: int, used: bool = True, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-            return torch.zeros(count, *(shape if used else [1] * len(shape)), dtype=dtype, device=device)
-
-        nodes, slots = self.num_nodes, self.num_nodes * SLOTS
-        self._previous, self._backup, self._reactions = (scratch(nodes, 3) for _ in range(3))
-        self._weights = scratch(nodes)
-        self._tether_impulses = torch.zeros(count, self.num_grippers, nodes if features.tethers else 1, 3, device=device)
-        edges = max(len(model.edges) for model in self.models)
-        self._directions, self._upper, self._multipliers = scratch(edges, 3), scratch(edges), scratch(edges)
-        used = features.self_contact
-        blocks = 2 * nodes // BLOCK + 1 if used else 1  # a cloth has less than two triangles for each node
-        self._contacts = {
-            "nodes": (torch.zeros(count, slots if used else 1, 4, dtype=torch.int32, device=device), wp.vec4i),
-            "sides": (scratch(slots, used=used), wp.float32),
-            "gaps": (scratch(slots, used=used), wp.float32),
-            "weights": (torch.zeros(count, slots if used else 1, 4, device=device), wp.vec4),
-            "impulses": (torch.zeros(count, slots if used else 1, 3, device=device), wp.vec3),
-            "counts": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "of_node": (scratch(nodes, MAX_CONTACTS_PER_NODE, used=used, dtype=torch.int32), wp.int32),
-            "num_of_node": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "num_active": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "block_spheres": (torch.zeros(count, blocks, 4, device=device), wp.vec4),
-            "block_speeds": (torch.zeros(count, blocks, device=device), wp.float32),
-        }
-
     def _choose_num_threads(self, num_threads: int | None) -> int:
         if self.device.type == "cuda":
             return 1
@@ -456,45 +437,32 @@ class Solver:
         return LARGE_BLOCK_DIM if self.num_nodes > LARGE_OBJECT else SMALL_BLOCK_DIM
 
     def _record_commands(self, num_threads: int) -> list[wp.Launch]:
-        """Record one launch per thread, each over a contiguous share of the worlds."""
-        wp.init()
+        """Record one launch per thread, each over every `num_threads`-th group of worlds."""
         device, block_dim = str(self.device), self._choose_block_dim()
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
+        obstacles, meshes = upload_obstacles(self.colliders, device)
+        if self.colliders:
+            obstacles.positions = wp.from_torch(self.collider_positions, dtype=wp.vec3)
+            obstacles.rotations = wp.from_torch(self.collider_rotations, dtype=wp.vec4)
+            obstacles.sizes = wp.from_torch(self.collider_sizes, dtype=wp.vec3)
+            obstacles.active = wp.from_torch(self.collider_active, dtype=wp.bool)
+        worlds = Worlds()
+        for name, dtype in WORLD_TYPES.items():
+            setattr(worlds, name, wp.from_torch(getattr(self, name), dtype=dtype))
+        touches = self._features.colliders or self._features.self_contact
+        touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
+        contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         time = [self.substeps, max(1, self.substeps // SEARCHES_PER_STEP), self.control_dt / self.substeps]
-        world_tensors = [
-            (self.variants, wp.int32), (self.gravity, wp.vec3), (self.plane, wp.vec4), (self.friction, wp.float32),
-            (self.damping, wp.float32), (self.stretch_scale, wp.float32), (self.bend_scale, wp.float32),
-            (self.inverse_masses, wp.float32), (self.holder, wp.int32), (self.hold_offsets, wp.vec3),
-            (self.gripper_nodes, wp.int32), (self.leashes, wp.float32),
-            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3),
-            (self.velocities, wp.vec3), (self.frozen, wp.bool), (self.gripper_forces, wp.vec3),
-            (self._previous, wp.vec3), (self._backup, wp.vec3), (self._weights, wp.float32), (self._reactions, wp.vec3),
-            (self._tether_impulses, wp.vec3), (self._directions, wp.vec3), (self._upper, wp.float32),
-            (self._multipliers, wp.float32),
-        ]  # fmt: skip
-        commands = []
-        self._uploaded = [objects]  # keeps device memory alive that only recorded launches refer to
-        for part in range(num_threads):
-            worlds = slice(part * self.num_worlds // num_threads, (part + 1) * self.num_worlds // num_threads)
-            arrays = [wp.from_torch(tensor[worlds], dtype=dtype) for tensor, dtype in world_tensors]
-            obstacles, meshes = upload_obstacles(self.colliders, device)
-            if self.colliders:
-                obstacles.positions = wp.from_torch(self.collider_positions[worlds], dtype=wp.vec3)
-                obstacles.rotations = wp.from_torch(self.collider_rotations[worlds], dtype=wp.vec4)
-                obstacles.sizes = wp.from_torch(self.collider_sizes[worlds], dtype=wp.vec3)
-                obstacles.active = wp.from_torch(self.collider_active[worlds], dtype=wp.bool)
-            contacts = SelfContacts()
-            for name, (tensor, dtype) in self._contacts.items():
-                setattr(contacts, name, wp.from_torch(tensor[worlds], dtype=dtype))
-            self._uploaded += [obstacles, meshes, contacts]
-            commands.append(
-                wp.launch(
-                    build_step_kernel(self._features),
-                    dim=(worlds.stop - worlds.start, block_dim),
-                    inputs=[objects, obstacles, *time, *arrays, contacts],
-                    device=device,
-                    block_dim=block_dim,
-                    record_cmd=True,
-                )
+        self._uploaded = [objects, obstacles, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
+        num_threads = min(num_threads, self._groups.count)
+        return [
+            wp.launch(
+                build_step_kernel(self._features, self._groups.in_lanes),
+                dim=(len(range(part, self._groups.count, num_threads)), block_dim),
+                inputs=[objects, obstacles, worlds, self._groups.data, touch, contacts, *time, part, num_threads],
+                device=device,
+                block_dim=block_dim,
+                record_cmd=True,
             )
-        return commands
+            for part in range(num_threads)
+        ]
