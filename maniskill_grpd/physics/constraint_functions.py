@@ -1,7 +1,7 @@
 """Projections of the constraints inside an object, called by the fused kernel for one constraint of one group of worlds.
 
-An impulse lambda * grad C moves a free node by weight * impulse; a held node has weight 0 and stays, and the impulse is added to its
-reaction, from which the force on its gripper follows.
+An impulse lambda * grad C moves a free node by weight * impulse; a held node has weight 0 and stays, and the impulse is added to
+its reaction, from which the force on its gripper follows.
 """
 
 from typing import Any
@@ -21,6 +21,9 @@ from maniskill_grpd.physics.lanes import (  # noqa: F401 (operators on lanes)
     sub,
 )
 
+# Factor on the compliance of edges that have given way to compression.
+WRINKLE_SOFTENING = wp.constant(100.0)
+
 
 @wp.func
 def push_node(group: int, node: int, impulse: Any, groups: Any):
@@ -39,6 +42,7 @@ def project_stretch_line(
     first_node: int,
     first_scratch: int,
     num_edges: int,
+    wrinkling: float,
     line_nodes: wp.array(dtype=int),
     rest_lengths: wp.array(dtype=float),
     compliances: wp.array(dtype=float),
@@ -49,6 +53,9 @@ def project_stretch_line(
     One Newton step of XPBD, (J W J^T + compliance / dt^2) lambda = -C, whose matrix is tridiagonal for a line and solved by
     elimination in O(N) (Deul et al. 2018). A sweep of single projections would carry tension by one node per substep and so add
     an elongation of its own that grows with resolution; the direct solve leaves only the material's.
+
+    Edges shorter than `wrinkling` times their rest length are soft: there the material would fold more finely than its mesh can
+    (Choi and Ko 2002), and edges that resist would make the others stretch instead. 0 leaves them stiff.
     """
     node = line_nodes[first_node]
     x = groups.positions[group, node]
@@ -64,7 +71,11 @@ def project_stretch_line(
         difference = x - x_next
         length = root(inner(difference, difference))
         direction = difference / greater(length, spread(length, 1.0e-9))
-        diagonal = w + w_next + rate * compliances[first_edge + k]
+        compliance = rate * compliances[first_edge + k]
+        if wrinkling > 0.0:
+            shortness = spread(length, rest_lengths[first_edge + k] * wrinkling) - length
+            compliance = choose(shortness, compliance * WRINKLE_SOFTENING, compliance)
+        diagonal = w + w_next + compliance
         off_diagonal = w * inner(last_direction, direction)  # times -1
         ratio = off_diagonal / pivot
         if k > 0:

@@ -12,8 +12,8 @@ from maniskill_grpd.physics.self_contact_functions import (
     BLOCK,
     SLOTS,
     bound_block,
+    bound_cluster,
     compute_contact_impulse,
-    count_active,
     find_candidates,
     gather_contact_impulses,
     register_contacts,
@@ -71,22 +71,28 @@ def search_world(
     num_elements = objects.element_starts[variant + 1] - first_element
     for node in range(thread, num_nodes, threads):
         contacts.num_of_node[world, node] = 0
-    for block in range(thread, (num_elements + BLOCK - 1) // BLOCK, threads):
+    num_blocks = (num_elements + BLOCK - 1) // BLOCK
+    for block in range(thread, num_blocks, threads):
         bound_block(
             world, block, first_element, num_elements, objects.elements, objects.element_radii,
-            touch.positions, touch.velocities, contacts.block_spheres, contacts.block_speeds,
+            touch.positions, touch.velocities, contacts.block_spheres, contacts.block_motions,
         )  # fmt: skip
     synchronize_block()
+    for cluster in range(thread, (num_blocks + BLOCK - 1) // BLOCK, threads):
+        bound_cluster(world, cluster, num_blocks, contacts.block_spheres, contacts.cluster_spheres)
+    synchronize_block()
     for owner in range(thread, objects.owner_counts[variant], threads):
-        find_candidates(
+        dropped = find_candidates(
             world, owner, first_element,
             num_elements, objects.is_rope[variant], 3.0 * objects.radii[variant], objects.exclusions[variant],
             2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii,
             objects.geodesics, touch.positions, touch.velocities,
             contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
-            contacts.block_spheres, contacts.block_speeds,
+            contacts.block_spheres, contacts.block_motions, contacts.cluster_spheres,
         )  # fmt: skip
-        register_contacts(world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node)
+        dropped += register_contacts(world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node)
+        if dropped > 0:
+            wp.atomic_add(contacts.dropped, world, dropped)
     synchronize_block()
     for node in range(thread, num_nodes, threads):
         sort_contacts(world, node, contacts.of_node, contacts.num_of_node)
@@ -117,17 +123,16 @@ def project_self_contacts(
 ):  # fmt: skip
     """Keep the layers of one object apart: impulses from the same positions, then every node gathers those of its contacts."""
     thickness = 2.0 * objects.radii[variant]
+    for node in range(thread, objects.node_counts[variant], threads):
+        contacts.num_active[world, node] = 0
+    synchronize_block()
     for owner in range(thread, objects.owner_counts[variant], threads):
         for index in range(contacts.counts[world, owner]):
             compute_contact_impulse(
                 world, owner * SLOTS + index, objects.is_rope[variant], thickness, friction,
-                contacts.nodes, contacts.sides, touch.weights, touch.positions, touch.previous, contacts.weights, contacts.impulses,
+                contacts.nodes, contacts.sides, touch.weights, touch.positions, touch.previous,
+                contacts.weights, contacts.impulses, contacts.num_active,
             )  # fmt: skip
-    synchronize_block()
-    for node in range(thread, objects.node_counts[variant], threads):
-        contacts.num_active[world, node] = count_active(
-            world, node, contacts.of_node, contacts.num_of_node, contacts.impulses
-        )
     synchronize_block()
     for node in range(thread, objects.node_counts[variant], threads):
         if contacts.num_active[world, node] > 0:

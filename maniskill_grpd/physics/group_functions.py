@@ -28,10 +28,11 @@ NO_TETHER = wp.constant(1.0e9)
 @wp.func
 def is_idle(group: int, worlds: Worlds, groups: Any) -> bool:
     """Return whether a group has no world that moves."""
+    num_moving = int(0)
     for lane in range(groups.counts[group]):
         if not worlds.frozen[groups.members[group, lane]]:
-            return False
-    return True
+            num_moving += 1
+    return num_moving == 0
 
 
 @wp.func

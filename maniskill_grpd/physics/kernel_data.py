@@ -31,6 +31,7 @@ class Objects:
     node_counts: wp.array(dtype=int)
     radii: wp.array(dtype=float)
     max_stretch: wp.array(dtype=float)  # 1 + max_strain
+    wrinkling: wp.array(dtype=float)  # 1 - wrinkle_strain, 0 where edges never give way
     # Lines of edges; line l has the edges line_edges[l] ... line_edges[l + 1], and one node more.
     line_ranges: wp.array(dtype=int)
     line_colors: wp.array(dtype=int)
@@ -89,7 +90,9 @@ class SelfContacts:
     num_of_node: wp.array2d(dtype=int)
     num_active: wp.array2d(dtype=int)
     block_spheres: wp.array2d(dtype=wp.vec4)
-    block_speeds: wp.array2d(dtype=float)
+    block_motions: wp.array2d(dtype=wp.vec4)
+    cluster_spheres: wp.array2d(dtype=wp.vec4)
+    dropped: wp.array(dtype=int)
 
 
 @wp.struct

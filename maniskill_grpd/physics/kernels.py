@@ -1,9 +1,9 @@
 """The fused XPBD kernel: every substep of one control step, for one group of worlds per thread block.
 
-On CUDA a group is one world and its block has many threads, which stride over nodes and over the constraints of one colour, with a
-barrier in between. On CPU a group is as many worlds as a vector register has lanes, its block has one thread, and the same source is
-a sequential loop over operations on lanes. `wp.static` leaves out what a solver does not need, so that a rope pays nothing for
-cloth. Annotations stay real objects here (no postponed evaluation), because Warp reads them.
+On CUDA a group is one world and its block has many threads, which stride over nodes and over the constraints of one colour, with
+a barrier in between. On CPU a group is as many worlds as a vector register has lanes, its block has one thread, and the same
+source is a sequential loop over operations on lanes. `wp.static` leaves out what a solver does not need, so that a rope pays
+nothing for cloth. Annotations stay real objects here (no postponed evaluation), because Warp reads them.
 """
 
 from functools import cache
@@ -75,7 +75,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         synchronize_block()
 
     @wp.func
-    def project_material(group: int, thread: int, threads: int, variant: int, objects: Objects, worlds: Worlds, groups: group_type):
+    def project_material(
+        group: int, thread: int, threads: int, variant: int, objects: Objects, worlds: Worlds, groups: group_type
+    ):
         """Project what holds an object together. Stretch comes last: length is the stiffer and the more visible."""
         if wp.static(features.bends):
             for color in range(objects.bend_ranges[variant], objects.bend_ranges[variant + 1] - 1):
@@ -102,7 +104,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                 if wp.static(not in_lanes):
                     scratch = edge - first_edge
                 project_stretch_line(
-                    group, edge, edge + line, scratch, objects.line_edges[line + 1] - edge,
+                    group, edge, edge + line, scratch, objects.line_edges[line + 1] - edge, objects.wrinkling[variant],
                     objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
                 )  # fmt: skip
             synchronize_block()
@@ -166,7 +168,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         for substep in range(num_substeps):
             if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
                 if substep % search_interval == 0:
-                    find_self_contacts(group, thread, threads, search_interval, dt, variant, objects, worlds, groups, touch, contacts)
+                    find_self_contacts(
+                        group, thread, threads, search_interval, dt, variant, objects, worlds, groups, touch, contacts
+                    )
             progress = float(substep + 1) / float(num_substeps)
             for node in range(thread, num_nodes, threads):
                 predict_node(group, node, dt, progress, groups)

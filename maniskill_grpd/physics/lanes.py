@@ -1,8 +1,8 @@
 """Numbers and vectors of several worlds at once: the SIMD lanes of a processor.
 
-On CPU a thread advances `WIDTH` worlds in step, each in a lane of vector registers; on CUDA a thread block advances one world, and
-the functions that are written for lanes are called with plain `float` and `wp.vec3`. Lanes never mix, so that a world comes out
-bitwise the same whichever worlds are beside it.
+On CPU a thread advances `WIDTH` worlds in step, each in a lane of vector registers; on CUDA a thread block advances one world,
+and the functions that are written for lanes are called with plain `float` and `wp.vec3`. Lanes never mix, so that a world comes
+out bitwise the same whichever worlds are beside it.
 
 Modules that compute with lanes import the operators `add`, `sub`, `mul` and `div`: Warp finds them by these names for + - * / and
 falls back to its own for all other types. Annotations stay real objects here (no postponed evaluation), because Warp reads them.

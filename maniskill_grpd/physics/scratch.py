@@ -1,4 +1,4 @@
-"""Memory of the fused kernel beside the state: groups of worlds, contacts. Nothing here outlives a step but who is in which group."""
+"""Memory of the fused kernel beside the state: groups of worlds, contacts. Only who is in which group outlives a step."""
 
 from __future__ import annotations
 
@@ -97,7 +97,8 @@ def allocate_self_contacts(num_worlds: int, num_nodes: int, used: bool, device: 
         "nodes": ((slots,), wp.vec4i), "sides": ((slots,), wp.float32), "gaps": ((slots,), wp.float32),
         "weights": ((slots,), wp.vec4), "impulses": ((slots,), wp.vec3), "counts": ((nodes,), wp.int32),
         "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32), "num_of_node": ((nodes,), wp.int32),
-        "num_active": ((nodes,), wp.int32), "block_spheres": ((blocks,), wp.vec4), "block_speeds": ((blocks,), wp.float32),
+        "num_active": ((nodes,), wp.int32), "block_spheres": ((blocks,), wp.vec4), "block_motions": ((blocks,), wp.vec4),
+        "cluster_spheres": ((blocks // BLOCK + 1,), wp.vec4),
     }  # fmt: skip
     contacts = SelfContacts()
     for name, (shape, dtype) in shapes.items():

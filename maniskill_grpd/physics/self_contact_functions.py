@@ -10,10 +10,12 @@ within a substep is brought back.
 import warp as wp
 
 # Candidates that one node or segment can own, and contacts that one node can take part in.
-SLOTS = wp.constant(8)
-MAX_CONTACTS_PER_NODE = wp.constant(96)
+SLOTS = wp.constant(16)
+MAX_CONTACTS_PER_NODE = wp.constant(192)
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
+# Elements that are closer than this fraction of the reach touch: reach is three times the radius, thickness two.
+TOUCHING = wp.constant(2.0 / 3.0)
 # Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
 MAX_APPROACH = wp.constant(0.04)
 
@@ -123,22 +125,98 @@ def bound_block(
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
     block_spheres: wp.array2d(dtype=wp.vec4),
-    block_speeds: wp.array2d(dtype=float),
+    block_motions: wp.array2d(dtype=wp.vec4),
 ):
-    """Compute a sphere (centre, radius) about the first corners of the elements of a block, widened by their radii."""
+    """Compute a sphere (centre, radius) about the first corners of the elements of a block, and one about their velocities.
+
+    The first is widened by the radii of the elements.
+    """
     start = block * BLOCK
     end = wp.min(start + BLOCK, num_elements)
     center = wp.vec3(0.0, 0.0, 0.0)
+    velocity = wp.vec3(0.0, 0.0, 0.0)
     for element in range(start, end):
         center += positions[world, elements[first_element + element][0]] / float(end - start)
+        velocity += velocities[world, elements[first_element + element][0]] / float(end - start)
     radius = float(0.0)
-    speed = float(0.0)
+    spread = float(0.0)
     for element in range(start, end):
         corner = elements[first_element + element][0]
         radius = wp.max(radius, wp.length(positions[world, corner] - center) + element_radii[first_element + element])
-        speed = wp.max(speed, wp.length(velocities[world, corner]))
+        spread = wp.max(spread, wp.length(velocities[world, corner] - velocity))
     block_spheres[world, block] = wp.vec4(center[0], center[1], center[2], radius)
-    block_speeds[world, block] = speed
+    block_motions[world, block] = wp.vec4(velocity[0], velocity[1], velocity[2], spread)
+
+
+@wp.func
+def bound_cluster(
+    world: int,
+    cluster: int,
+    num_blocks: int,
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    cluster_spheres: wp.array2d(dtype=wp.vec4),
+):
+    """Compute a sphere about the spheres of a cluster of blocks."""
+    start = cluster * BLOCK
+    end = wp.min(start + BLOCK, num_blocks)
+    center = wp.vec3(0.0, 0.0, 0.0)
+    for block in range(start, end):
+        sphere = block_spheres[world, block]
+        center += wp.vec3(sphere[0], sphere[1], sphere[2]) / float(end - start)
+    radius = float(0.0)
+    for block in range(start, end):
+        sphere = block_spheres[world, block]
+        radius = wp.max(radius, wp.length(wp.vec3(sphere[0], sphere[1], sphere[2]) - center) + sphere[3])
+    cluster_spheres[world, cluster] = wp.vec4(center[0], center[1], center[2], radius)
+
+
+@wp.func
+def is_near(x: wp.vec3, sphere: wp.vec4, margin: float) -> bool:
+    """Return whether a point is less than a margin away from a sphere (centre, radius)."""
+    offset = x - wp.vec3(sphere[0], sphere[1], sphere[2])
+    far = sphere[3] + margin
+    return wp.dot(offset, offset) < far * far
+
+
+@wp.func
+def keep_nearest(
+    world: int, first_slot: int, num_found: int, nodes: wp.vec4i, is_rope: bool, reach: float,
+    positions: wp.array2d(dtype=wp.vec3),
+    contact_nodes: wp.array2d(dtype=wp.vec4i), contact_sides: wp.array2d(dtype=float), contact_gaps: wp.array2d(dtype=float),
+) -> int:  # fmt: skip
+    """Write a candidate within reach into a free slot or that of the farthest, if that one is farther.
+
+    Returns:
+        1 if a slot was filled that was free, -1 if two elements that are closer than `TOUCHING` of the reach had to share one.
+    """
+    weight = closest_weights(world, nodes, is_rope, positions)
+    gap = barycentric_gap(weight, nodes, world, positions)
+    length = wp.length(gap)
+    if length >= reach:
+        return 0
+    slot = num_found
+    result = int(1)
+    if num_found == SLOTS:
+        slot = int(0)
+        for other in range(1, SLOTS):
+            if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
+                slot = other
+        farthest = contact_gaps[world, first_slot + slot]
+        result = wp.where(wp.max(length, farthest) < TOUCHING * reach, -1, 0)
+        if length >= farthest:
+            return result
+    contact_nodes[world, first_slot + slot] = nodes
+    contact_gaps[world, first_slot + slot] = length
+    side = wp.dot(gap, facing(world, nodes, is_rope, positions))
+    contact_sides[world, first_slot + slot] = wp.where(side < 0.0, -1.0, 1.0)
+    return result
+
+
+@wp.func
+def through_material(variant: int, owner: int, corners: wp.vec3i, geodesics: wp.array3d(dtype=float)) -> float:
+    """Return the distance through the material from a node to the nearest corner of an element."""
+    first = geodesics[variant, owner, corners[0]]
+    return wp.min(first, wp.min(geodesics[variant, owner, corners[1]], geodesics[variant, owner, corners[2]]))
 
 
 @wp.func
@@ -162,57 +240,51 @@ def find_candidates(
     contact_gaps: wp.array2d(dtype=float),
     contact_counts: wp.array2d(dtype=int),
     block_spheres: wp.array2d(dtype=wp.vec4),
-    block_speeds: wp.array2d(dtype=float),
-):
+    block_motions: wp.array2d(dtype=wp.vec4),
+    cluster_spheres: wp.array2d(dtype=wp.vec4),
+) -> int:
     """Fill the slots of a node (or segment) with the nearest elements that it may touch before the next search.
 
     Elements that are closer than `exclusion` through the material are neighbours rather than contacts. When the slots are full
-    the farthest gives way, so that the result does not depend on anything but the positions.
+    the farthest gives way, so that the result does not depend on anything but the positions. Returns how many contacts were lost.
     """
     num_found = int(0)
-    first_slot = owner * SLOTS
+    num_lost = int(0)
     start = int(0)
     if is_rope:
         start = owner + 1
     x = positions[world, owner]
     v = velocities[world, owner]
-    for block in range(start // BLOCK, (num_elements + BLOCK - 1) // BLOCK):
-        sphere = block_spheres[world, block]
-        from_block = x - wp.vec3(sphere[0], sphere[1], sphere[2])
-        far = reach + sphere[3] + wp.min((wp.length(v) + block_speeds[world, block]) * step_duration, MAX_APPROACH)
-        if wp.dot(from_block, from_block) < far * far:
+    num_blocks = (num_elements + BLOCK - 1) // BLOCK
+    for cluster in range(start // (BLOCK * BLOCK), (num_blocks + BLOCK - 1) // BLOCK):
+        if not is_near(x, cluster_spheres[world, cluster], reach + MAX_APPROACH):
+            continue
+        for block in range(wp.max(cluster * BLOCK, start // BLOCK), wp.min((cluster + 1) * BLOCK, num_blocks)):
+            if not is_near(x, block_spheres[world, block], reach + MAX_APPROACH):
+                continue
+            motion = block_motions[world, block]
+            speed = wp.length(v - wp.vec3(motion[0], motion[1], motion[2])) + motion[3]
+            block_approach = wp.min(speed * step_duration, MAX_APPROACH)
+            if not is_near(x, block_spheres[world, block], reach + block_approach):
+                continue
             for element in range(wp.max(start, block * BLOCK), wp.min((block + 1) * BLOCK, num_elements)):
-                corner = elements[first_element + element]
-                offset = x - positions[world, corner[0]]
-                bound = reach + element_radii[first_element + element]
-                distance2 = wp.dot(offset, offset)
-                if distance2 < (bound + MAX_APPROACH) * (bound + MAX_APPROACH):
-                    approach = wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
-                    bound += approach
-                    apart = geodesics[variant, owner, corner[0]]
-                    apart = wp.min(apart, wp.min(geodesics[variant, owner, corner[1]], geodesics[variant, owner, corner[2]]))
-                    if distance2 < bound * bound and apart > exclusion:
-                        nodes = wp.vec4i(owner, corner[0], corner[1], corner[2])
+                corners = elements[first_element + element]
+                bound = element_radii[first_element + element] + reach
+                distance = wp.length(x - positions[world, corners[0]])
+                if distance < bound + block_approach:
+                    approach = wp.min(wp.length(v - velocities[world, corners[0]]) * step_duration, MAX_APPROACH)
+                    if distance < bound + approach and through_material(variant, owner, corners, geodesics) > exclusion:
+                        nodes = wp.vec4i(owner, corners[0], corners[1], corners[2])
                         if is_rope:
-                            nodes = wp.vec4i(owner, owner + 1, corner[0], corner[1])
-                        weight = closest_weights(world, nodes, is_rope, positions)
-                        gap = barycentric_gap(weight, nodes, world, positions)
-                        length = wp.length(gap)
-                        slot = num_found
-                        if num_found == SLOTS:
-                            slot = int(0)
-                            for other in range(1, SLOTS):
-                                if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
-                                    slot = other
-                        has_place = num_found < SLOTS or length < contact_gaps[world, first_slot + slot]
-                        if length < reach + approach and has_place:
-                            contact_nodes[world, first_slot + slot] = nodes
-                            contact_gaps[world, first_slot + slot] = length
-                            contact_sides[world, first_slot + slot] = wp.where(
-                                wp.dot(gap, facing(world, nodes, is_rope, positions)) < 0.0, -1.0, 1.0
-                            )
-                            num_found = wp.min(num_found + 1, SLOTS)
+                            nodes = wp.vec4i(owner, owner + 1, corners[0], corners[1])
+                        kept = keep_nearest(
+                            world, owner * SLOTS, num_found, nodes, is_rope, reach + approach, positions,
+                            contact_nodes, contact_sides, contact_gaps,
+                        )  # fmt: skip
+                        num_found += wp.max(kept, 0)
+                        num_lost -= wp.min(kept, 0)
     contact_counts[world, owner] = num_found
+    return num_lost
 
 
 @wp.func
@@ -223,8 +295,12 @@ def register_contacts(
     contact_counts: wp.array2d(dtype=int),
     contacts_of_node: wp.array3d(dtype=int),
     num_contacts_of_node: wp.array2d(dtype=int),
-):
-    """Enter the contacts of one owner with each of their four nodes. The order of entry is undone by `sort_contacts`."""
+) -> int:
+    """Enter the contacts of one owner with each of their four nodes; return how many entries found no room.
+
+    The order of entry is undone by `sort_contacts`.
+    """
+    num_dropped = int(0)
     for index in range(contact_counts[world, owner]):
         slot = owner * SLOTS + index
         nodes = contact_nodes[world, slot]
@@ -232,6 +308,9 @@ def register_contacts(
             entry = wp.atomic_add(num_contacts_of_node, world, nodes[k], 1)
             if entry < MAX_CONTACTS_PER_NODE:
                 contacts_of_node[world, nodes[k], entry] = 4 * slot + k
+            else:
+                num_dropped += 1
+    return num_dropped
 
 
 @wp.func
@@ -251,6 +330,27 @@ def sort_contacts(
 
 
 @wp.func
+def is_apart(world: int, nodes: wp.vec4i, is_rope: bool, thickness: float, positions: wp.array2d(dtype=wp.vec3)) -> bool:
+    """Return whether two elements cannot touch because they lie apart along an axis."""
+    x_0 = positions[world, nodes[0]]
+    x_1 = positions[world, nodes[1]]
+    x_2 = positions[world, nodes[2]]
+    x_3 = positions[world, nodes[3]]
+    low = x_0
+    high = x_0
+    other_low = wp.min(x_2, x_3)
+    other_high = wp.max(x_2, x_3)
+    if is_rope:
+        low = wp.min(x_0, x_1)
+        high = wp.max(x_0, x_1)
+    else:
+        other_low = wp.min(other_low, x_1)
+        other_high = wp.max(other_high, x_1)
+    between = wp.max(wp.max(other_low - high), wp.max(low - other_high))
+    return between > thickness
+
+
+@wp.func
 def compute_contact_impulse(
     world: int,
     slot: int,
@@ -264,6 +364,7 @@ def compute_contact_impulse(
     previous: wp.array2d(dtype=wp.vec3),
     contact_weights: wp.array2d(dtype=wp.vec4),
     contact_impulses: wp.array2d(dtype=wp.vec3),
+    num_active: wp.array2d(dtype=int),
 ):
     """Compute the impulse of C = side * n . gap - thickness >= 0 and of the friction against the motion along the surface.
 
@@ -271,11 +372,13 @@ def compute_contact_impulse(
     which side of the surface the point belongs.
     """
     nodes = contact_nodes[world, slot]
+    contact_impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
+    if is_apart(world, nodes, is_rope, thickness, positions):
+        return
     weight = closest_weights(world, nodes, is_rope, positions)
     gap = barycentric_gap(weight, nodes, world, positions)
     length = wp.length(gap)
     contact_weights[world, slot] = weight
-    contact_impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
     normal = facing(world, nodes, is_rope, positions)
     area = wp.length(normal)
     is_inside = weight[1] < -1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
@@ -300,23 +403,8 @@ def compute_contact_impulse(
     if slip > 0.0:
         cancelled = wp.min(1.0, friction * depth / slip)
     contact_impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
-
-
-@wp.func
-def count_active(
-    world: int,
-    node: int,
-    contacts_of_node: wp.array3d(dtype=int),
-    num_contacts_of_node: wp.array2d(dtype=int),
-    contact_impulses: wp.array2d(dtype=wp.vec3),
-) -> int:
-    """Return the number of contacts that push a node in this substep."""
-    count = int(0)
-    for entry in range(num_contacts_of_node[world, node]):
-        impulse = contact_impulses[world, contacts_of_node[world, node, entry] // 4]
-        if wp.dot(impulse, impulse) > 0.0:
-            count += 1
-    return count
+    for k in range(4):
+        wp.atomic_add(num_active, world, nodes[k], 1)
 
 
 @wp.func

@@ -71,6 +71,9 @@ class Solver:
         collider_active: (B, K) bool; inactive ones are not there.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
 
+        dropped_contacts: How often since its reset a world had more contacts with itself than there is room for, (B,) int32. The
+            nearest are kept; what is dropped may pass through.
+
     Limitations: colliders stand still during a step; contact of an object with itself is between nodes and triangles (cloth) or
     segments (rope), not between two edges of a cloth; friction and damping dissipate momentum; first order in the substep, with
     the numerical damping of implicit integration.
@@ -191,6 +194,7 @@ class Solver:
             self.positions[world_idx] *= self.node_mask[world_idx, :, None]
         self.velocities[world_idx] = 0.0
         self.frozen[world_idx] = False
+        self.dropped_contacts[world_idx] = 0
         self.holder[world_idx] = -1
         self.hold_offsets[world_idx] = 0.0
         self.leashes[world_idx] = NO_LEASH
@@ -415,6 +419,7 @@ class Solver:
         self.hold_offsets = torch.zeros(*shape, 3, device=device)
         self.leashes = torch.full((self.num_worlds, self.num_grippers, self.num_grippers), NO_LEASH, device=device)
         self.frozen = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
+        self.dropped_contacts = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
 
     def _allocate_colliders(self) -> None:
         device, shape = self.device, (self.num_worlds, len(self.colliders))
@@ -453,6 +458,7 @@ class Solver:
         touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
         contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         time = [self.substeps, max(1, self.substeps // SEARCHES_PER_STEP), self.control_dt / self.substeps]
+        contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
         self._uploaded = [objects, obstacles, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
         num_threads = min(num_threads, self._groups.count)
         return [
