@@ -5,20 +5,18 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.block import synchronize_block
-from maniskill_grpd.physics.kernel_data import Objects, Obstacles, SelfContacts, Touch, Worlds
-from maniskill_grpd.physics.lanes import pick, put
-from maniskill_grpd.physics.obstacle_functions import project_colliders, project_edge
-from maniskill_grpd.physics.self_contact_functions import (
+from maniskill_grpd.physics.contact_search_functions import (
     BLOCK,
-    SLOTS,
     bound_block,
     bound_cluster,
-    compute_contact_impulse,
     find_candidates,
-    gather_contact_impulses,
     register_contacts,
     sort_contacts,
 )
+from maniskill_grpd.physics.kernel_data import Objects, Obstacles, SelfContacts, Touch, Worlds
+from maniskill_grpd.physics.lanes import pick, put
+from maniskill_grpd.physics.obstacle_functions import project_colliders, project_edge
+from maniskill_grpd.physics.self_contact_functions import SLOTS, compute_contact_impulse, gather_contact_impulses
 
 
 @wp.func

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import torch
 import warp as wp
 
@@ -17,25 +15,18 @@ from maniskill_grpd.physics.kernels import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
-from maniskill_grpd.physics.upload import choose_features, geodesic_table, upload_objects, upload_obstacles
+from maniskill_grpd.physics.upload import choose_features, upload_objects, upload_obstacles
+from maniskill_grpd.physics.world_state import WORLD_TYPES, WorldState
 
-STANDARD_GRAVITY = 9.81
 # Below this many worlds a second thread costs more than it brings.
 MIN_WORLDS_PER_THREAD = 16
 # Lanes of a block on CUDA: more only pay when a colour has more constraints than lanes.
 SMALL_BLOCK_DIM, LARGE_BLOCK_DIM, LARGE_OBJECT = 64, 256, 200
 # Searches for contacts of an object with itself in one control step.
 SEARCHES_PER_STEP = 4
-# How the kernel reads the tensors of the state.
-WORLD_TYPES = {
-    "variants": wp.int32, "gravity": wp.vec3, "plane": wp.vec4, "friction": wp.float32, "damping": wp.float32,
-    "stretch_scale": wp.float32, "bend_scale": wp.float32, "inverse_masses": wp.float32, "holder": wp.int32,
-    "hold_offsets": wp.vec3, "gripper_nodes": wp.int32, "leashes": wp.float32, "gripper_targets": wp.vec3,
-    "gripper_positions": wp.vec3, "gripper_forces": wp.vec3, "positions": wp.vec3, "velocities": wp.vec3, "frozen": wp.bool,
-}  # fmt: skip
 
 
-class Solver:
+class Solver(WorldState):
     """XPBD with small substeps for B worlds, each with one of M object variants.
 
     Every state tensor is allocated once and shared with Warp: write into it, never rebind it. `step()` allocates nothing and does
@@ -127,25 +118,17 @@ class Solver:
             raise ValueError(f"control_dt must be > 0 s, got {control_dt}")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads must be >= 1, got {num_threads}")
-        self.models = (model,) if isinstance(model, Model) else tuple(model)
-        if not self.models:
+        models = (model,) if isinstance(model, Model) else tuple(model)
+        if not models:
             raise ValueError("a solver needs at least one model, got none")
-        self.model = self.models[0]
-        self.num_worlds = num_worlds
-        self.num_grippers = num_grippers
-        self.num_nodes = max(entry.num_nodes for entry in self.models)
+        super().__init__(models, num_worlds, num_grippers, tuple(colliders), torch.device(device))
         self.control_dt = control_dt
-        self.substeps = max(entry.default_substeps for entry in self.models) if substeps is None else substeps
-        self.device = torch.device(device)
-        self.colliders = tuple(colliders)
+        self.substeps = max(entry.default_substeps for entry in models) if substeps is None else substeps
         self.patch_radius = patch_radius
         self.capture_radius = capture_radius
         self._features = choose_features(self.models, self.colliders, self_collision)
-        self._allocate_variants()
-        self._allocate_state()
-        self._allocate_colliders()
         wp.init()
-        self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features, self.device)
+        self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features.tethers, self.device)
         self._commands = self._record_commands(self._choose_num_threads(num_threads))
         self._pool = ThreadPoolExecutor(len(self._commands)) if len(self._commands) > 1 else None
 
@@ -345,89 +328,10 @@ class Solver:
             raise ValueError(f"the factor on {name} must be finite and {'> 0' if positive else '>= 0'}, got {value}")
         return factor
 
-    def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that the next step depends on, each as a copy (B, D) in float32."""
-        return {
-            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True)
-            for name, tensor in self._state_tensors.items()
-        }
-
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
-        """Restore what `state()` returned, for all worlds or for `world_idx` (b,) with rows (b, D).
-
-        Raises:
-            ValueError: If a group is missing or has the wrong width.
-        """
-        missing = sorted(set(self._state_tensors) - set(state))
-        if missing:
-            raise ValueError(f"the solver's state lacks {missing}; it needs {sorted(self._state_tensors)}")
-        rows = slice(None) if world_idx is None else world_idx
-        for name, tensor in self._state_tensors.items():
-            value = state[name]
-            width = math.prod(tensor.shape[1:])
-            if value.ndim != 2 or value.shape[1] != width:
-                raise ValueError(f"state {name!r} must be (worlds, {width}), got {tuple(value.shape)}")
-            tensor[rows] = value.reshape(-1, *tensor.shape[1:]).to(tensor)
-        self.node_mask[rows] = self._node_masks[self.variants[rows].long()]
+        """Restore what `state()` returned, see `WorldState.set_state`."""
+        super().set_state(state, world_idx)
         self._groups.assign(self.variants)
-
-    @property
-    def _state_tensors(self) -> dict[str, torch.Tensor]:
-        names = [
-            "positions", "velocities", "inverse_masses", "gravity", "plane", "friction", "damping", "stretch_scale", "bend_scale",
-            "gripper_positions", "gripper_targets", "gripper_nodes", "closed", "holder", "hold_offsets", "leashes", "frozen",
-        ]  # fmt: skip
-        if len(self.models) > 1:
-            names.append("variants")
-        if self.colliders:
-            names += ["collider_positions", "collider_rotations", "collider_sizes", "collider_active"]
-        return {name: getattr(self, name) for name in names}
-
-    def _allocate_variants(self) -> None:
-        """Tabulate what differs between variants, padded to N nodes: (M, N, ...)."""
-        device, count = self.device, len(self.models)
-        self._geodesics = torch.as_tensor(geodesic_table(self.models), device=device)
-        self._rest_positions = torch.zeros(count, self.num_nodes, 3, device=device)
-        self._inverse_masses = torch.zeros(count, self.num_nodes, device=device)
-        self._node_masks = torch.zeros(count, self.num_nodes, dtype=torch.bool, device=device)
-        for index, model in enumerate(self.models):
-            self._rest_positions[index, : model.num_nodes] = torch.as_tensor(model.rest_positions)
-            self._inverse_masses[index, : model.num_nodes] = 1.0 / torch.as_tensor(model.masses)
-            self._node_masks[index, : model.num_nodes] = True
-        self._friction = torch.tensor([model.friction for model in self.models], device=device)
-        self._damping = torch.tensor([model.damping for model in self.models], device=device)
-
-    def _allocate_state(self) -> None:
-        shape, device = (self.num_worlds, self.num_nodes), self.device
-        self.variants = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
-        self.node_mask = self._node_masks[:1].repeat(self.num_worlds, 1)
-        self.positions = self._rest_positions[:1].repeat(self.num_worlds, 1, 1)
-        self.velocities = torch.zeros(*shape, 3, device=device)
-        self.inverse_masses = self._inverse_masses[:1].repeat(self.num_worlds, 1)
-        self.gravity = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=device).repeat(self.num_worlds, 1)
-        self.plane = torch.tensor([0.0, 0.0, 1.0, 0.0], device=device).repeat(self.num_worlds, 1)
-        self.friction = torch.full((self.num_worlds,), self.model.friction, device=device)
-        self.damping = torch.full((self.num_worlds,), self.model.damping, device=device)
-        self.stretch_scale = torch.ones(self.num_worlds, device=device)
-        self.bend_scale = torch.ones(self.num_worlds, device=device)
-        self.gripper_positions = torch.zeros(self.num_worlds, self.num_grippers, 3, device=device)
-        self.gripper_targets = torch.zeros_like(self.gripper_positions)
-        self.gripper_forces = torch.zeros_like(self.gripper_positions)
-        self.gripper_nodes = torch.full((self.num_worlds, self.num_grippers), -1, dtype=torch.int32, device=device)
-        self.closed = torch.zeros(self.num_worlds, self.num_grippers, dtype=torch.bool, device=device)
-        self.holder = torch.full(shape, -1, dtype=torch.int32, device=device)
-        self.hold_offsets = torch.zeros(*shape, 3, device=device)
-        self.leashes = torch.full((self.num_worlds, self.num_grippers, self.num_grippers), NO_LEASH, device=device)
-        self.frozen = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
-        self.dropped_contacts = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
-
-    def _allocate_colliders(self) -> None:
-        device, shape = self.device, (self.num_worlds, len(self.colliders))
-        self.collider_positions = torch.zeros(*shape, 3, device=device)
-        self.collider_rotations = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(*shape, 1)
-        sizes = np.array([collider.size for collider in self.colliders], dtype=np.float32).reshape(-1, 3)
-        self.collider_sizes = torch.as_tensor(sizes, device=device).repeat(self.num_worlds, 1, 1)
-        self.collider_active = torch.ones(shape, dtype=torch.bool, device=device)
 
     def _choose_num_threads(self, num_threads: int | None) -> int:
         if self.device.type == "cuda":
