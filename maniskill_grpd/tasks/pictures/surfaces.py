@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
-from maniskill_grpd.tasks import palette
+from maniskill_grpd.tasks.pictures import palette
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 
 TUBE_SIDES = 12

@@ -13,7 +13,7 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
-from maniskill_grpd.tasks import palette
+from maniskill_grpd.tasks.pictures import palette
 from maniskill_grpd.tasks.pictures.drawing import Drawing
 from maniskill_grpd.tasks.pictures.painters import Painter
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
