@@ -37,7 +37,7 @@ def arguments(study, budget, *more):
     return ["--study", study, "--budget", str(budget), "--num_episodes", "2", *more, "--train_options", *to_pairs(TINY)]
 
 
-def wait_for(condition, seconds=120.0):
+def wait_for(condition, seconds=300.0):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited in vain"
