@@ -11,7 +11,7 @@ from maniskill_grpd.learning.run_log import read_rows
 STEPS_PER_SECOND = {"grpd": 850.0, "empn": 280.0, "hetero_gnn": 850.0, "transformer": 480.0}
 """Environment steps per second of processor time, by policy: RopeShaping-v1, `REFERENCE_NODES` nodes seen, one 2.5 GHz core."""
 REFERENCE_NODES = 21
-START_SECONDS = 15.0
+START_SECONDS = 6.0
 """Start of a training or of tests."""
 TEST_SECONDS = 0.06
 """An episode of a test."""
