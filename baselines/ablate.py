@@ -24,14 +24,13 @@ import tyro
 from estimate import format_seconds, seconds_left
 from launchers import Launcher, LocalLauncher, SlurmLauncher
 from progress_table import ProgressTable, job_line
-from study_jobs import RUNS, Job, first_error, make_jobs
+from study_jobs import RUNS, Job, first_error, make_expert_jobs, make_jobs
 
 from maniskill_grpd.evaluation import STUDIES, Study, find_study
-from maniskill_grpd.evaluation.pages import DATA_FOLDER, write_study_page, write_summary_page
+from maniskill_grpd.evaluation.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
 from maniskill_grpd.evaluation.results import save_runs
 from maniskill_grpd.learning.config import parse_options
 
-ALL = "all"
 POLL_SECONDS = 0.5
 DEFAULT_BUDGET = 1_000_000
 
@@ -53,7 +52,8 @@ class AblateConfig:
     num_episodes: int = 100
     """episodes of each test"""
     train_options: tuple[str, ...] = ()
-    """options of train.py for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make other runs"""
+    """options of train.py for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make runs of their own,
+    which --report finds by the same options"""
 
     launcher: Literal["local", "slurm"] = "local"
     """where jobs run: processes of this machine, or a Slurm cluster (needs submitit)"""
@@ -122,7 +122,7 @@ def ablate(config: AblateConfig) -> int:
 
 
 def plan(config: AblateConfig, study: Study) -> list[Job]:
-    """Return the jobs of a study; of one that tests checkpoints of another, those whose checkpoints are there.
+    """Return the jobs of a study, experts included; where it tests checkpoints of another, those whose checkpoints are there.
 
     Raises:
         ValueError: If there are none, listing the checkpoints there are.
@@ -139,7 +139,7 @@ def plan(config: AblateConfig, study: Study) -> list[Job]:
         )
     if len(ready) < len(jobs):
         print(f"{len(jobs) - len(ready)} of {len(jobs)} checkpoints are not there yet; the others are tested")
-    return ready
+    return [*ready, *make_expert_jobs(restricted, config.num_episodes)]
 
 
 def list_jobs(jobs: Sequence[Job], config: AblateConfig) -> None:
@@ -148,7 +148,11 @@ def list_jobs(jobs: Sequence[Job], config: AblateConfig) -> None:
         print(job_line(job))
     num_jobs = config.jobs or (LocalLauncher().num_jobs if config.launcher == "local" else len(jobs))
     left = format_seconds(seconds_left(jobs, num_jobs))
-    print(f"{len(jobs)} runs with {sum(len(job.conditions) for job in jobs)} tests, {num_jobs} at a time: roughly {left}")
+    num_experts = sum(job.is_expert for job in jobs)
+    num_tests = sum(len(job.conditions) for job in jobs)
+    print(
+        f"{len(jobs) - num_experts} runs and {num_experts} experts with {num_tests} tests, {num_jobs} at a time: roughly {left}"
+    )
 
 
 def make_launcher(config: AblateConfig) -> Launcher:

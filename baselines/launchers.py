@@ -91,7 +91,7 @@ class SlurmLauncher(Launcher):
         parameters: What submitit asks Slurm for, such as {"slurm_partition": "gpu", "gpus_per_node": 1}.
 
     Raises:
-        ValueError: If submitit is not installed.
+        ValueError: If submitit is not installed, or there is no Slurm here.
     """
 
     def __init__(self, num_jobs: int | None = None, parameters: Mapping[str, Any] | None = None) -> None:
@@ -102,7 +102,10 @@ class SlurmLauncher(Launcher):
         # What is submitted names functions of this folder, which the other machines must find.
         os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), os.environ.get("PYTHONPATH")]))
         self.num_jobs = num_jobs or 64
-        self._executor = submitit.AutoExecutor(Path.cwd() / RUNS / ".slurm", cluster="slurm")
+        try:
+            self._executor = submitit.AutoExecutor(Path.cwd() / RUNS / ".slurm", cluster="slurm")
+        except RuntimeError as error:
+            raise ValueError(f"--launcher slurm: {error}") from error
         defaults = {"timeout_min": 24 * 60, "cpus_per_task": 2, "name": "ablate"}
         self._executor.update_parameters(slurm_array_parallelism=self.num_jobs, **{**defaults, **(parameters or {})})
         self._submitted: list[tuple[Job, Any]] = []

@@ -19,6 +19,7 @@ from evaluate_study import is_played
 
 from maniskill_grpd.evaluation import Run, Study
 from maniskill_grpd.evaluation.records import TEST_FOLDER
+from maniskill_grpd.evaluation.study import AS_TRAINED, EXPERT, expert_run, to_pairs
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS
 from maniskill_grpd.learning.run_log import read_rows
@@ -52,6 +53,11 @@ class Job:
     trains: bool = True
 
     @property
+    def is_expert(self) -> bool:
+        """Whether the scripted expert acts."""
+        return self.run.arm == EXPERT
+
+    @property
     def folder(self) -> Path:
         """Folder of the run."""
         return RUNS / self.run.name
@@ -73,8 +79,8 @@ class Job:
 
     @property
     def is_trained(self) -> bool:
-        """Whether the training is done."""
-        return self.checkpoint.exists()
+        """Whether the training is done; that of an expert always is."""
+        return self.is_expert or self.checkpoint.exists()
 
     @property
     def is_tested(self) -> bool:
@@ -117,6 +123,12 @@ def make_jobs(study: Study, budget: int, seeds: Sequence[int], num_episodes: int
     return jobs
 
 
+def make_expert_jobs(study: Study, num_episodes: int) -> list[Job]:
+    """Return the jobs that play the experts of a study's tasks, as policies are tested in the first place."""
+    tasks = [task for task in study.tasks if task.conditions]
+    return [Job(expert_run(task), study.name, (AS_TRAINED.name,), num_episodes, trains=False) for task in tasks]
+
+
 def check_options(job: Job) -> None:
     """Refuse a run whose folder holds one that was trained with other options.
 
@@ -147,7 +159,8 @@ def run_job(job: Job, start: Start = subprocess.Popen) -> None:
         if not job.is_trained and job.trains and not run_script(job, "train.py", train_arguments(job), start, lock):
             return
         if job.is_trained and not job.is_tested:
-            run_script(job, "evaluate_study.py", test_arguments(job), start, lock)
+            script, arguments = test_command(job)
+            run_script(job, script, arguments, start, lock)
 
 
 def run_script(job: Job, script: str, arguments: Sequence[str], start: Start, lock: int) -> bool:
@@ -189,9 +202,14 @@ def to_arguments(config: TrainConfig) -> list[str]:
     return arguments
 
 
-def test_arguments(job: Job) -> list[str]:
-    """Return the arguments that test a run under the conditions of the study."""
-    return ["--study", job.study, "--checkpoint", str(job.checkpoint), "--num_episodes", str(job.num_episodes)]
+def test_command(job: Job) -> tuple[str, list[str]]:
+    """Return script and arguments that test a run under the conditions of the study, or play the expert."""
+    episodes = ["--num_episodes", str(job.num_episodes)]
+    if job.is_expert:
+        path = job.folder / TEST_FOLDER / f"{AS_TRAINED.name}.json"
+        task = ["--env_id", job.run.task.env_id, "--env_kwargs", *to_pairs({**job.run.task.options, "num_threads": 1})]
+        return "evaluate_expert.py", [*task, "--json", str(path), *episodes]
+    return "evaluate_study.py", ["--study", job.study, "--checkpoint", str(job.checkpoint), *episodes]
 
 
 def first_error(job: Job) -> str:

@@ -18,11 +18,16 @@ def describe_machine(device: str = "cpu") -> dict[str, str | int]:
     names = [line.split(":")[1].strip() for line in lines if "model name" in line]
     machine: dict[str, str | int] = {
         "cpu": names[0] if names else platform.processor(), "cores": os.cpu_count() or 1,
-        "load": f"{os.getloadavg()[0]:.1f}", "python": platform.python_version(),
+        "cores used": num_cores(), "load": f"{os.getloadavg()[0]:.1f}", "python": platform.python_version(),
     }  # fmt: skip
     if device == "cuda":
         machine["gpu"] = torch.cuda.get_device_name()
     return machine | {package: installed_version(package) for package in ("torch", "warp-lang", "newton")}
+
+
+def num_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def installed_version(package: str) -> str:

@@ -27,8 +27,10 @@ class Work:
     """Constraint projections (VBD: visits of an element by one of its nodes)."""
     flops: int
     bytes: int
-    working_set: int
-    """Bytes that a substep touches: state and constraints."""
+    state: int
+    """Bytes of state of one world that a substep touches."""
+    constants: int
+    """Bytes of constraints, which all worlds share."""
 
 
 def count_work(model: Model, solver: str, substeps: int, iterations: int) -> Work:
@@ -48,4 +50,4 @@ def count_work(model: Model, solver: str, substeps: int, iterations: int) -> Wor
     )
     state = model.num_nodes * (4 * VECTOR + 2 * FLOAT)
     constants = springs * 4 * FLOAT + hinges * 9 * FLOAT + bends * 4 * FLOAT
-    return Work(projections=projections, flops=flops, bytes=moved, working_set=state + constants)
+    return Work(projections=projections, flops=flops, bytes=moved, state=state, constants=constants)

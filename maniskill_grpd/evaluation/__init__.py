@@ -5,7 +5,7 @@ folders `records` reads into the rows of `results`; `study_data` picks what answ
 `tables`, `plots` and `pages` show it.
 """
 
-from maniskill_grpd.evaluation.observation_noise import NoisyObserver
+from maniskill_grpd.evaluation.noisy_observer import NoisyObserver
 from maniskill_grpd.evaluation.statistics import (
     bootstrap_interval,
     interquartile_mean,

@@ -64,15 +64,3 @@ def mean_over_training(curve: Curve) -> float:
         return float(curve.scores[0])
     areas = np.diff(curve.steps) * (curve.scores[1:] + curve.scores[:-1]) / 2
     return float(areas.sum() / (curve.steps[-1] - curve.steps[0]))
-
-
-def steps_to_reach(curve: Curve, score: float) -> float:
-    """Return the first step at which the linearly interpolated curve is at `score`; inf if it never is."""
-    if curve.scores[0] >= score:
-        return float(curve.steps[0])
-    above = np.flatnonzero(curve.scores >= score)
-    if not len(above):
-        return float("inf")
-    last = above[0]
-    (x0, x1), (y0, y1) = curve.steps[last - 1 : last + 1], curve.scores[last - 1 : last + 1]
-    return float(x0 + (score - y0) / (y1 - y0) * (x1 - x0))

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
+from typing import get_args
 
-from maniskill_grpd.evaluation.claim import MIN_RUNS
+from maniskill_grpd.evaluation.claim import MIN_RUNS, Verdict
 from maniskill_grpd.evaluation.metrics import METRICS
 from maniskill_grpd.evaluation.plots import PLOTS
 from maniskill_grpd.evaluation.results import load_results
@@ -17,9 +18,12 @@ from maniskill_grpd.evaluation.tables import NOT_RUN, claim_table, markdown_tabl
 
 DATA_FOLDER = "data"
 """Folder of the CSV files, beside the pages."""
+ALL = "all"
+"""What the command line calls all studies."""
 NOTES_FOLDER = "notes"
 """Folder of what people wrote about a page, beside the pages; a page ends with its note."""
 
+VERDICTS = get_args(Verdict)
 READING = f"""\
 *figure here*: interquartile mean over seeds of each side, compared as the paper's figure is; *95 % interval*: stratified
 bootstrap, runs resampled within each task; *P(better)*: probability that a run of the first side scores more than one of the
@@ -54,21 +58,22 @@ def write_study_page(study: Study, folder: Path, budget: int | None = None) -> P
 def write_summary_page(folder: Path, budget: int | None = None) -> Path:
     """Write README.md: the state of every study, and every claim of the paper with what the data say."""
     results = load_results(folder / DATA_FOLDER)
-    studies = [["study", "about", "runs finished", "failed", "claims that hold", "that do not", "undecided", NOT_RUN]]
+    studies = [["study", "about", "steps", "runs finished", "failed", "claims that hold", "that do not", "undecided", NOT_RUN]]
     claims = []
     for study in STUDIES.values():
         data = StudyData(study, results, budget)
         findings = [(claim, data.finding(claim)) for claim in study.claims]
         verdicts = Counter(finding.verdict for _, finding in findings)
         states = Counter(results.state(run) for task in study.tasks for run in data.runs(task))
-        counts = [states["finished"], states["failed"]]
-        counts += [verdicts[verdict] for verdict in ("holds", "does not hold", "undecided", "not run")]
-        studies.append([f"[{study.name}]({study.name}.md)", study.title, *map(str, counts)])
+        budgets = sorted({budget for task in study.tasks if (budget := data.budget(task))})
+        counts = [states["finished"], states["failed"], *(verdicts[verdict] for verdict in VERDICTS)]
+        steps = ", ".join(f"{budget:,}" for budget in budgets) or "-"
+        studies.append([f"[{study.name}]({study.name}.md)", study.title, steps, *map(str, counts)])
         if findings:
             claims += [f"### [{study.title}]({study.name}.md)", claim_table(findings)]
     parts = [
         "# Results",
-        "Every study of the paper, from the same data as the pages of the studies. " + _command("all"),
+        f"Every claim of the paper that can be measured, and what has been measured here. {_command(ALL)}",
         markdown_table(studies, num_text_columns=2),
         "## Claims of the paper",
         READING,
@@ -90,12 +95,17 @@ def _provenance(data: StudyData) -> str:
     sentences.append(f"{states['finished']} runs finished, {states['failed']} failed.")
     devices = sorted({row.get("device_name") or row.get("device") or "unknown" for row in rows})
     commits = sorted({row.get("commit", "")[:12] or "unknown" for row in rows})
+    names = {run.name for run in runs}
+    tests = [row for (run, _), row in data.results.tests.items() if run in names]
+    episodes = sorted({row.get("num_episodes") or "unknown" for row in tests})
+    if episodes:
+        sentences.append(f"Episodes of each test, on seeds that training does not use: {', '.join(episodes)}.")
     sentences.append(f"Device: {', '.join(devices)}. Commit: {', '.join(commits)}.")
     return " ".join(sentences)
 
 
 def _command(study: str) -> str:
-    return f"Written by `python baselines/ablate.py --study {study} --report --results docs/results`; not edited by hand."
+    return f"This page is written by `python baselines/ablate.py --study {study} --report --results docs/results`, not by hand."
 
 
 def _draw(data: StudyData, kind: str, folder: Path) -> Path | None:

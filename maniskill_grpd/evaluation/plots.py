@@ -1,4 +1,7 @@
-"""Pictures of a study, all in one style: an arm has the same colour everywhere, a band or a bar is a 95 % interval."""
+"""Pictures of a study, all in one style: an arm has the same colour everywhere, a band or a bar is a 95 % interval.
+
+A dashed line is the scripted expert on the task of the training.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from matplotlib.figure import Figure
 from maniskill_grpd.evaluation.curves import efficiency_band
 from maniskill_grpd.evaluation.metrics import METRICS
 from maniskill_grpd.evaluation.statistics import performance_profile
-from maniskill_grpd.evaluation.study import Arm, Condition, Task
+from maniskill_grpd.evaluation.study import EXPERT, Arm, Condition, Task
 from maniskill_grpd.evaluation.study_data import BOOTSTRAP_SEED, StudyData, conditions_of
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
@@ -39,6 +42,7 @@ def plot_bars(data: StudyData) -> Figure | None:
             middles, lows, highs = _summaries(data, task, arm, names, metric).T
             axis.bar(places, middles, width, color=COLORS[index], label=arm.name)
             axis.vlines(places, lows, highs, color="black", lw=1.0)
+        _draw_expert(axis, data, task, metric)
         axis.set_xticks(range(len(names)), names, **({"rotation": 20, "ha": "right"} if len(names) > 1 else {}))
         _finish(axis, task.name, "", metric)
     return _with_legend(figure, axes[0])
@@ -55,6 +59,7 @@ def plot_curves(data: StudyData) -> Figure | None:
         for axis, task in zip(axes[row * len(tasks) :], tasks, strict=False):
             for index, arm in enumerate(study.arms):
                 _draw_band(axis, data, task, arm, metric, COLORS[index])
+            _draw_expert(axis, data, task, metric)
             _finish(axis, task.name if row == 0 else "", "environment steps", metric)
     return _with_legend(figure, axes[0])
 
@@ -90,6 +95,7 @@ def plot_lines(data: StudyData) -> Figure | None:
         for index, arm in enumerate(study.arms):
             summaries = [data.summary(task, arm, condition.name, metric) for task, condition in points]
             _draw_line(axis, places, summaries, COLORS[index], arm.name)
+        _draw_expert(axis, data, points[0][0], metric)
         axis.set_xticks(places, [f"{value}" for value in values], rotation=30)
         _finish(axis, env_id, study.factor, metric)
     return _with_legend(figure, axes[0])
@@ -146,6 +152,12 @@ def _draw_band(axis: Axes, data: StudyData, task: Task, arm: Arm, metric: str, c
     band = efficiency_band(curves, generator=np.random.default_rng(BOOTSTRAP_SEED))
     axis.plot(band.steps, band.middle, color=color, label=arm.name)
     axis.fill_between(band.steps, band.low, band.high, color=color, alpha=0.2, lw=0)
+
+
+def _draw_expert(axis: Axes, data: StudyData, task: Task, metric: str) -> None:
+    score = data.expert(task, metric)
+    if score is not None:
+        axis.axhline(score, color="0.4", ls="--", lw=1.0, label=EXPERT.name)
 
 
 def _draw_line(axis: Axes, places: Sequence[float], summaries: Sequence[Any], color: str, label: str) -> None:

@@ -134,6 +134,8 @@ class Run:
     def name(self) -> str:
         """Name of its folder, which says all options that are not defaults."""
         task = _slug(self.task.env_id, self.task.options)
+        if self.arm == EXPERT:
+            return f"{task}__{EXPERT.policy}"
         policy = _slug(self.arm.policy, self.arm.policy_options)
         algorithm = _slug(self.arm.algorithm, {**self.train_options, **self.arm.train_options})
         return f"{task}__{policy}__{algorithm}__{self.budget}__s{self.seed}"
@@ -164,6 +166,15 @@ class Run:
         return dataclasses.replace(
             config, eval_freq=given.get("eval_freq", rhythm), checkpoint_freq=given.get("checkpoint_freq", rhythm)
         )
+
+
+EXPERT = Arm(name="expert", policy="expert")
+"""The scripted expert of a task, the reference line of tables and plots; not trained."""
+
+
+def expert_run(task: Task) -> Run:
+    """Return the "run" of the expert on a task."""
+    return Run(task=task, arm=EXPERT, seed=0, budget=0)
 
 
 Plot = Literal["curves", "bars", "profile", "heat_map", "lines"]

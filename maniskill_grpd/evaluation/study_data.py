@@ -10,7 +10,7 @@ from maniskill_grpd.evaluation.claim import Claim, Finding, Side, judge
 from maniskill_grpd.evaluation.curves import Curve
 from maniskill_grpd.evaluation.results import Results
 from maniskill_grpd.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
-from maniskill_grpd.evaluation.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task
+from maniskill_grpd.evaluation.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task, expert_run
 
 BOOTSTRAP_SEED = 0
 """Every interval starts from this seed, so that a page written twice from the same data is the same."""
@@ -78,6 +78,10 @@ class StudyData:
     def summary(self, task: Task, arm: Arm, condition: str, metric: str) -> tuple[float, Interval] | None:
         """Return the interquartile mean over seeds and its interval; None if nothing has been run."""
         return summarize([np.array(list(self.scores(task, arm, condition, metric).values()))])
+
+    def expert(self, task: Task, metric: str) -> float | None:
+        """Return the score of the scripted expert on a task; None if it has not been played."""
+        return self.results.score(expert_run(task), metric, AS_TRAINED_NAME)
 
     def pooled(self, arm: Arm, metric: str) -> list[np.ndarray] | None:
         """Return the scores of an arm under the first condition of every task; None if a task is missing."""

@@ -9,7 +9,7 @@ import numpy as np
 from maniskill_grpd.evaluation.claim import Claim, Finding
 from maniskill_grpd.evaluation.metrics import METRICS
 from maniskill_grpd.evaluation.statistics import Interval
-from maniskill_grpd.evaluation.study import AS_TRAINED, Arm, Task
+from maniskill_grpd.evaluation.study import AS_TRAINED, EXPERT, Arm, Task
 from maniskill_grpd.evaluation.study_data import StudyData, conditions_of, summarize
 
 NOT_RUN = "not run"
@@ -20,7 +20,7 @@ def score_table(data: StudyData, metric: str) -> str:
     """Return a table of one metric: a row for each task and condition, a column for each arm.
 
     Cells hold the interquartile mean over seeds and its 95 % interval, "not run" or "failed". If every arm has been run on
-    every one of several tasks, a last row pools them as trained.
+    every one of several tasks, a last row pools them as trained. A last column has the expert, where it has been played.
     """
     arms = data.study.arms
     rows = [["task", "condition", "steps", "seeds", *(arm.name for arm in arms)]]
@@ -32,7 +32,19 @@ def score_table(data: StudyData, metric: str) -> str:
     if len(data.study.tasks) > 1 and all(pooled) and not METRICS[metric].is_time:
         cells = [format_summary(summarize(strata), METRICS[metric].decimals) for strata in pooled]
         rows.append(["all tasks", AS_TRAINED.name, "", "", *cells])
-    return markdown_table(rows, num_text_columns=2)
+    return markdown_table(_with_experts(data, metric, rows), num_text_columns=2)
+
+
+def _with_experts(data: StudyData, metric: str, rows: list[list[str]]) -> list[list[str]]:
+    """Return rows with a column for the experts, if any has been played; they are as trained only."""
+    scores = {task.name: data.expert(task, metric) for task in data.study.tasks}
+    if all(score is None for score in scores.values()):
+        return rows
+    columns = [EXPERT.name]
+    for task, condition, *_ in rows[1:]:
+        score = scores.get(task) if condition == AS_TRAINED.name else None
+        columns.append("-" if score is None else f"{score:.{METRICS[metric].decimals}f}")
+    return [[*row, cell] for row, cell in zip(rows, columns, strict=True)]
 
 
 def score_cell(data: StudyData, task: Task, arm: Arm, condition: str, metric: str) -> str:

@@ -79,6 +79,7 @@ class ClothHangingExpert(Expert):
 
     def act(self) -> torch.Tensor:
         """See `Expert.act`; with free grasps (B, A * 4), the last number of each gripper opens or closes it."""
+        self.env.evaluate()
         grippers, layout = self.env.solver.gripper_positions, self._layout()
         rotation = fit_rotation(layout - layout.mean(dim=1, keepdim=True), grippers)
         middle = (grippers - layout @ rotation.mT).mean(dim=1)
@@ -105,7 +106,7 @@ class ClothHangingExpert(Expert):
         axis = self.env.hanger_axis
         normal = rotation[..., 2]
         turn = shortest_turn(normal * _sign((normal * axis).sum(-1)), axis)
-        is_threaded = self.env.evaluate()["is_threaded"]
+        is_threaded = self.env.hanging.measures["is_threaded"]
         shift, _ = _shift_to_hanger(middle - self.env.hanger_point, axis, _length(turn), is_threaded, PEG_DEPTH, PEG_CLEARANCE)
         return turn, shift, torch.eye(3, device=middle.device).expand_as(rotation)
 
@@ -119,19 +120,19 @@ class ClothHangingExpert(Expert):
         offset = middle - self.env.hanger_point
         offset = offset - (offset * bar).sum(-1, keepdim=True).clamp(-BAR_PLAY, BAR_PLAY) * bar
         aside = _length(offset - (offset * up).sum(-1, keepdim=True) * up)
-        lies = self.env.evaluate()["lies_on_bar"] & (aside < BAR_ASIDE)
+        lies = self.env.hanging.measures["lies_on_bar"] & (aside < BAR_ASIDE)
         shift, ready = _shift_to_hanger(offset, up, _length(turn), lies, BAR_DEPTH, BAR_CLEARANCE)
         narrow = (1.0 - BAR_WIDTH) * ready[:, None, None] * side[:, :, None] * side[:, None]
         return turn, shift, torch.eye(3, device=middle.device) - narrow
 
     def _with_grip(self, motion: torch.Tensor) -> torch.Tensor:
         """Add to motions (B, A, 3) whether grippers are closed, as (B, A * 4)."""
-        solver = self.env.solver
+        solver, hanging = self.env.solver, self.env.hanging
         opens = ~solver.closed.any(dim=1)
         if self.env.release:
-            speed = mean_over_nodes(torch.linalg.vector_norm(solver.velocities, dim=-1), solver.node_mask)
-            is_deep = self.env._hanging.depth >= RELEASE_DEPTH if self.env.hole_radius is not None else True
-            opens |= self.env.evaluate()["is_hung"] & is_deep & (speed < RELEASE_SPEED)
+            speed = mean_over_nodes(_length(solver.velocities), solver.node_mask)
+            rests = hanging.is_hung & (speed < RELEASE_SPEED)
+            opens |= rests & (hanging.depth >= RELEASE_DEPTH) if self.env.hole_radius is not None else rests
         grip = torch.where(opens, -1.0, 1.0)[:, None, None].expand_as(motion[..., :1])
         return torch.cat([motion, grip], dim=-1).flatten(1)
 

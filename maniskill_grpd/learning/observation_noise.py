@@ -16,8 +16,9 @@ class ObservationNoise:
     """Disturbs what a sensor would measure, and everything that is computed from it.
 
     Each node's position moves by position_std e, e ~ N(0, I). Offsets from the node to something
-    (vector channels in metres) move the other way, and a distance `x_distance` becomes the length
-    of the disturbed `x_offset`. Velocities (vector channels in m/s) get noise of their own.
+    (vector channels in metres) move the other way, and a distance `x_distance` changes by as much as
+    the length of `x_offset` does: it may be measured from elsewhere, such as from the surface of what
+    the offset leads to. Velocities (vector channels in m/s) get noise of their own.
 
     Attributes:
         schema: What the graphs hold.
@@ -54,7 +55,8 @@ class ObservationNoise:
                 vectors[..., place, :] -= moved
                 distance = names.get(channel.name.removesuffix("_offset") + "_distance")
                 if distance is not None:
-                    scalars[..., distance] = vectors[..., place, :].norm(dim=-1)
+                    longer = vectors[..., place, :].norm(dim=-1) - nodes["vectors"][..., place, :].norm(dim=-1)
+                    scalars[..., distance].add_(longer).clamp_(min=0.0)
         return {**nodes, "position": nodes["position"] + moved, "vectors": vectors, "scalars": scalars}
 
 

@@ -274,10 +274,19 @@ class Trainer:
             text = ", ".join(f"{k[5:]}={v:.3g}" for k, v in metrics.items() if k.startswith("eval/"))
             tqdm.write(f"eval at step {self.state.global_step:,}: {text}")
             self.last_evaluation = metrics
-            score = [metrics.get(f"eval/{self.config.best_metric}", 0.0), metrics["eval/return"]]
+            score = [self._best_metric(metrics), metrics["eval/return"]]
             is_best = self.state.best_score is None or score > self.state.best_score
             self.state.best_score = score if is_best else self.state.best_score
         return self.workers.gather(is_best)[0]
+
+    def _best_metric(self, metrics: dict[str, float]) -> float:
+        name = self.config.best_metric
+        if f"eval/{name}" not in metrics:
+            raise ValueError(
+                f"the task does not report {name}, by which the best checkpoint is chosen; choose "
+                "another with --best_metric, return for example"
+            )
+        return metrics[f"eval/{name}"]
 
     def _checkpoint(self, is_best: bool) -> None:
         """Save what is due; see the class docstring for why the environments are reset."""

@@ -44,8 +44,9 @@ class Learner:
     workers: Workers = field(default_factory=Workers)
 
     def __post_init__(self) -> None:
-        compiled = torch.compile(self.policy, dynamic=False) if self.config.compile else None
-        self._forward = compiled or self.policy
+        self._forward = self.policy
+        if self.config.compile:
+            self._forward = torch.compile(self.policy, dynamic=False)
 
     def evaluate(self, graph: Graph) -> tuple[ActionDistribution, torch.Tensor]:
         """Return the policy's distribution and value outputs (M,) of raw graphs."""

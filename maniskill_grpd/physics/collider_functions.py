@@ -1,8 +1,11 @@
 """Contact with rigid obstacles: signed distances, sweeps and friction, called by the fused kernel for one point of one world."""
 
+from typing import Any
+
 import warp as wp
 
 from maniskill_grpd.physics.colliders import ColliderKind
+from maniskill_grpd.physics.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)
 
 PLANE = wp.constant(int(ColliderKind.PLANE))
 SPHERE = wp.constant(int(ColliderKind.SPHERE))
@@ -24,29 +27,18 @@ MESH_REACH = wp.constant(0.5)
 
 
 @wp.func
-def resolve_contact(position: wp.vec3, previous: wp.vec3, normal: wp.vec3, depth: float, friction: float) -> wp.vec3:
-    """Push a point out of a surface and apply Coulomb friction to its motion within the substep.
+def resolve_contact(position: Any, previous: Any, normal: Any, depth: Any, friction: Any):
+    """Push points out of a surface where their depth is positive and apply Coulomb friction to their motion within the substep.
 
     The normal correction `depth` is the normal impulse in position units, so the tangential motion is cancelled up to
     friction * depth: complete cancellation is stick, the rest slides (Macklin et al. 2014, section 6.1).
     """
-    if depth <= 0.0:
-        return position
     moved = position - previous
-    tangential = moved - normal * wp.dot(moved, normal)
-    slip = wp.length(tangential)
-    cancelled = float(0.0)
-    if slip > 0.0:
-        cancelled = wp.min(1.0, friction * depth / slip)
-    return position + normal * depth - tangential * cancelled
-
-
-@wp.func
-def project_table(position: wp.vec3, previous: wp.vec3, plane: wp.vec4, radius: float, friction: float) -> wp.vec3:
-    """Keep a point at its radius above the table n . x = c."""
-    normal = wp.vec3(plane[0], plane[1], plane[2])
-    depth = radius - (wp.dot(normal, position) - plane[3])
-    return resolve_contact(position, previous, normal, depth, friction)
+    tangential = moved - normal * inner(moved, normal)
+    slip = root(inner(tangential, tangential))
+    nothing = spread(depth, 0.0)
+    cancelled = choose(slip, lesser(spread(depth, 1.0), friction * depth / slip), nothing)
+    return choose(depth, position + normal * depth - tangential * cancelled, position)
 
 
 @wp.func

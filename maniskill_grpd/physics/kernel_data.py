@@ -1,4 +1,4 @@
-"""What the fused kernel reads: features, object variants, obstacles and contact candidates.
+"""What the fused kernel works on: features, object variants, obstacles, worlds and the groups in which worlds are advanced.
 
 Annotations stay real objects here (no postponed evaluation), because Warp reads them.
 """
@@ -6,6 +6,8 @@ Annotations stay real objects here (no postponed evaluation), because Warp reads
 from dataclasses import dataclass
 
 import warp as wp
+
+from maniskill_grpd.physics.lanes import Numbers, Vectors
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Objects:
     node_counts: wp.array(dtype=int)
     radii: wp.array(dtype=float)
     max_stretch: wp.array(dtype=float)  # 1 + max_strain
+    wrinkling: wp.array(dtype=float)  # 1 - wrinkle_strain, 0 where edges never give way
     # Lines of edges; line l has the edges line_edges[l] ... line_edges[l + 1], and one node more.
     line_ranges: wp.array(dtype=int)
     line_colors: wp.array(dtype=int)
@@ -87,4 +90,86 @@ class SelfContacts:
     num_of_node: wp.array2d(dtype=int)
     num_active: wp.array2d(dtype=int)
     block_spheres: wp.array2d(dtype=wp.vec4)
-    block_speeds: wp.array2d(dtype=float)
+    block_motions: wp.array2d(dtype=wp.vec4)
+    cluster_spheres: wp.array2d(dtype=wp.vec4)
+    dropped: wp.array(dtype=int)
+
+
+@wp.struct
+class Worlds:
+    """The state of all worlds as the solver's tensors hold it, see `Solver`."""
+
+    variants: wp.array(dtype=int)
+    gravity: wp.array(dtype=wp.vec3)
+    plane: wp.array(dtype=wp.vec4)
+    friction: wp.array(dtype=float)
+    damping: wp.array(dtype=float)
+    stretch_scale: wp.array(dtype=float)
+    bend_scale: wp.array(dtype=float)
+    inverse_masses: wp.array2d(dtype=float)
+    holder: wp.array2d(dtype=int)
+    hold_offsets: wp.array2d(dtype=wp.vec3)
+    gripper_nodes: wp.array2d(dtype=int)
+    leashes: wp.array3d(dtype=float)
+    gripper_targets: wp.array2d(dtype=wp.vec3)
+    gripper_positions: wp.array2d(dtype=wp.vec3)
+    gripper_forces: wp.array2d(dtype=wp.vec3)
+    positions: wp.array2d(dtype=wp.vec3)
+    velocities: wp.array2d(dtype=wp.vec3)
+    frozen: wp.array(dtype=wp.bool)
+
+
+@wp.struct
+class Touch:
+    """Scratch of single worlds for what is not computed in lanes: contact with colliders and of objects with themselves."""
+
+    positions: wp.array2d(dtype=wp.vec3)
+    previous: wp.array2d(dtype=wp.vec3)
+    velocities: wp.array2d(dtype=wp.vec3)
+    weights: wp.array2d(dtype=float)
+    reactions: wp.array2d(dtype=wp.vec3)
+
+
+def _groups(number: type, vector: type) -> type:
+    """Return the type of scratch of groups of worlds that are advanced together."""
+
+    @wp.struct
+    class Groups:
+        """Scratch of the G groups during a control step; a column for each node, gripper or edge, or a single one."""
+
+        members: wp.array2d(dtype=int)  # world in each lane; lanes without one repeat the first
+        counts: wp.array(dtype=int)  # lanes that have a world of their own
+        gravity: wp.array2d(dtype=vector)
+        table_normals: wp.array2d(dtype=vector)
+        table_offsets: wp.array2d(dtype=number)
+        friction: wp.array2d(dtype=number)
+        decays: wp.array2d(dtype=number)
+        stretch_rates: wp.array2d(dtype=number)  # 1 / (scale of the stiffness * dt^2)
+        bend_rates: wp.array2d(dtype=number)
+        positions: wp.array2d(dtype=vector)
+        previous: wp.array2d(dtype=vector)
+        velocities: wp.array2d(dtype=vector)
+        weights: wp.array2d(dtype=number)  # inverse masses as constraints see them, 0 for held and fixed nodes
+        reactions: wp.array2d(dtype=vector)
+        is_free: wp.array2d(dtype=wp.bool)  # in all lanes
+        is_held: wp.array2d(dtype=wp.bool)  # in any lane
+        held: wp.array2d(dtype=number)  # 1 for held nodes, and for these:
+        hold_starts: wp.array2d(dtype=vector)
+        hold_motions: wp.array2d(dtype=vector)
+        hold_offsets: wp.array2d(dtype=vector)
+        pulls: wp.array2d(dtype=vector)  # of the tethers on each gripper, summed over the step
+        has_tethers: wp.array2d(dtype=wp.bool)
+        tether_ends: wp.array2d(dtype=vector)
+        tether_lengths: wp.array3d(dtype=number)
+        tether_impulses: wp.array3d(dtype=vector)
+        directions: wp.array2d(dtype=vector)
+        upper: wp.array2d(dtype=number)
+        multipliers: wp.array2d(dtype=number)
+
+    return Groups
+
+
+LaneGroups = _groups(Numbers, Vectors)
+"""Groups of worlds in lanes, for CPU."""
+SingleGroups = _groups(float, wp.vec3)
+"""Groups of one world each, for CUDA."""

@@ -59,6 +59,8 @@ class Model:
     """Inverse stiffnesses of the hinges, (H,) float32 [m/N]."""
     max_strain: float = np.inf
     """Strain at which the weave locks: held nodes keep all others within (1 + max_strain) of their distance through the cloth."""
+    wrinkle_strain: float = np.inf
+    """Compression beyond which edges give way, because the material folds more finely than the mesh; infinity for a rope."""
     geodesics: np.ndarray | None = None
     """Distances through the material, (N, N) float32 [m]; None where edges alone define them."""
     default_substeps: int = 20

@@ -10,13 +10,8 @@ within a substep is brought back.
 import warp as wp
 
 # Candidates that one node or segment can own, and contacts that one node can take part in.
-SLOTS = wp.constant(8)
-MAX_CONTACTS_PER_NODE = wp.constant(96)
-# Elements in a block that a search passes over as a whole when all of it is too far away.
-BLOCK = wp.constant(16)
-# Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
-MAX_APPROACH = wp.constant(0.04)
-
+SLOTS = wp.constant(16)
+MAX_CONTACTS_PER_NODE = wp.constant(192)
 
 @wp.func
 def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
@@ -113,141 +108,24 @@ def facing(world: int, nodes: wp.vec4i, is_rope: bool, positions: wp.array2d(dty
 
 
 @wp.func
-def bound_block(
-    world: int,
-    block: int,
-    first_element: int,
-    num_elements: int,
-    elements: wp.array(dtype=wp.vec3i),
-    element_radii: wp.array(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
-    block_spheres: wp.array2d(dtype=wp.vec4),
-    block_speeds: wp.array2d(dtype=float),
-):
-    """Compute a sphere (centre, radius) about the first corners of the elements of a block, widened by their radii."""
-    start = block * BLOCK
-    end = wp.min(start + BLOCK, num_elements)
-    center = wp.vec3(0.0, 0.0, 0.0)
-    for element in range(start, end):
-        center += positions[world, elements[first_element + element][0]] / float(end - start)
-    radius = float(0.0)
-    speed = float(0.0)
-    for element in range(start, end):
-        corner = elements[first_element + element][0]
-        radius = wp.max(radius, wp.length(positions[world, corner] - center) + element_radii[first_element + element])
-        speed = wp.max(speed, wp.length(velocities[world, corner]))
-    block_spheres[world, block] = wp.vec4(center[0], center[1], center[2], radius)
-    block_speeds[world, block] = speed
-
-
-@wp.func
-def find_candidates(
-    world: int,
-    owner: int,
-    first_element: int,
-    num_elements: int,
-    is_rope: bool,
-    reach: float,
-    exclusion: float,
-    step_duration: float,
-    variant: int,
-    elements: wp.array(dtype=wp.vec3i),
-    element_radii: wp.array(dtype=float),
-    geodesics: wp.array3d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    velocities: wp.array2d(dtype=wp.vec3),
-    contact_nodes: wp.array2d(dtype=wp.vec4i),
-    contact_sides: wp.array2d(dtype=float),
-    contact_gaps: wp.array2d(dtype=float),
-    contact_counts: wp.array2d(dtype=int),
-    block_spheres: wp.array2d(dtype=wp.vec4),
-    block_speeds: wp.array2d(dtype=float),
-):
-    """Fill the slots of a node (or segment) with the nearest elements that it may touch before the next search.
-
-    Elements that are closer than `exclusion` through the material are neighbours rather than contacts. When the slots are full
-    the farthest gives way, so that the result does not depend on anything but the positions.
-    """
-    num_found = int(0)
-    first_slot = owner * SLOTS
-    start = int(0)
+def is_apart(world: int, nodes: wp.vec4i, is_rope: bool, thickness: float, positions: wp.array2d(dtype=wp.vec3)) -> bool:
+    """Return whether two elements cannot touch because they lie apart along an axis."""
+    x_0 = positions[world, nodes[0]]
+    x_1 = positions[world, nodes[1]]
+    x_2 = positions[world, nodes[2]]
+    x_3 = positions[world, nodes[3]]
+    low = x_0
+    high = x_0
+    other_low = wp.min(x_2, x_3)
+    other_high = wp.max(x_2, x_3)
     if is_rope:
-        start = owner + 1
-    x = positions[world, owner]
-    v = velocities[world, owner]
-    for block in range(start // BLOCK, (num_elements + BLOCK - 1) // BLOCK):
-        sphere = block_spheres[world, block]
-        from_block = x - wp.vec3(sphere[0], sphere[1], sphere[2])
-        far = reach + sphere[3] + wp.min((wp.length(v) + block_speeds[world, block]) * step_duration, MAX_APPROACH)
-        if wp.dot(from_block, from_block) < far * far:
-            for element in range(wp.max(start, block * BLOCK), wp.min((block + 1) * BLOCK, num_elements)):
-                corner = elements[first_element + element]
-                offset = x - positions[world, corner[0]]
-                bound = reach + element_radii[first_element + element]
-                distance2 = wp.dot(offset, offset)
-                if distance2 < (bound + MAX_APPROACH) * (bound + MAX_APPROACH):
-                    approach = wp.min(wp.length(v - velocities[world, corner[0]]) * step_duration, MAX_APPROACH)
-                    bound += approach
-                    apart = geodesics[variant, owner, corner[0]]
-                    apart = wp.min(apart, wp.min(geodesics[variant, owner, corner[1]], geodesics[variant, owner, corner[2]]))
-                    if distance2 < bound * bound and apart > exclusion:
-                        nodes = wp.vec4i(owner, corner[0], corner[1], corner[2])
-                        if is_rope:
-                            nodes = wp.vec4i(owner, owner + 1, corner[0], corner[1])
-                        weight = closest_weights(world, nodes, is_rope, positions)
-                        gap = barycentric_gap(weight, nodes, world, positions)
-                        length = wp.length(gap)
-                        slot = num_found
-                        if num_found == SLOTS:
-                            slot = int(0)
-                            for other in range(1, SLOTS):
-                                if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
-                                    slot = other
-                        has_place = num_found < SLOTS or length < contact_gaps[world, first_slot + slot]
-                        if length < reach + approach and has_place:
-                            contact_nodes[world, first_slot + slot] = nodes
-                            contact_gaps[world, first_slot + slot] = length
-                            contact_sides[world, first_slot + slot] = wp.where(
-                                wp.dot(gap, facing(world, nodes, is_rope, positions)) < 0.0, -1.0, 1.0
-                            )
-                            num_found = wp.min(num_found + 1, SLOTS)
-    contact_counts[world, owner] = num_found
-
-
-@wp.func
-def register_contacts(
-    world: int,
-    owner: int,
-    contact_nodes: wp.array2d(dtype=wp.vec4i),
-    contact_counts: wp.array2d(dtype=int),
-    contacts_of_node: wp.array3d(dtype=int),
-    num_contacts_of_node: wp.array2d(dtype=int),
-):
-    """Enter the contacts of one owner with each of their four nodes. The order of entry is undone by `sort_contacts`."""
-    for index in range(contact_counts[world, owner]):
-        slot = owner * SLOTS + index
-        nodes = contact_nodes[world, slot]
-        for k in range(4):
-            entry = wp.atomic_add(num_contacts_of_node, world, nodes[k], 1)
-            if entry < MAX_CONTACTS_PER_NODE:
-                contacts_of_node[world, nodes[k], entry] = 4 * slot + k
-
-
-@wp.func
-def sort_contacts(
-    world: int, node: int, contacts_of_node: wp.array3d(dtype=int), num_contacts_of_node: wp.array2d(dtype=int)
-):
-    """Sort the contacts of a node, so that sums do not depend on the order in which lanes entered them."""
-    count = wp.min(num_contacts_of_node[world, node], MAX_CONTACTS_PER_NODE)
-    num_contacts_of_node[world, node] = count
-    for i in range(1, count):
-        entry = contacts_of_node[world, node, i]
-        j = int(i)
-        while j > 0 and contacts_of_node[world, node, wp.max(j - 1, 0)] > entry:
-            contacts_of_node[world, node, j] = contacts_of_node[world, node, j - 1]
-            j -= 1
-        contacts_of_node[world, node, j] = entry
+        low = wp.min(x_0, x_1)
+        high = wp.max(x_0, x_1)
+    else:
+        other_low = wp.min(other_low, x_1)
+        other_high = wp.max(other_high, x_1)
+    between = wp.max(wp.max(other_low - high), wp.max(low - other_high))
+    return between > thickness
 
 
 @wp.func
@@ -264,6 +142,7 @@ def compute_contact_impulse(
     previous: wp.array2d(dtype=wp.vec3),
     contact_weights: wp.array2d(dtype=wp.vec4),
     contact_impulses: wp.array2d(dtype=wp.vec3),
+    num_active: wp.array2d(dtype=int),
 ):
     """Compute the impulse of C = side * n . gap - thickness >= 0 and of the friction against the motion along the surface.
 
@@ -271,11 +150,13 @@ def compute_contact_impulse(
     which side of the surface the point belongs.
     """
     nodes = contact_nodes[world, slot]
+    contact_impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
+    if is_apart(world, nodes, is_rope, thickness, positions):
+        return
     weight = closest_weights(world, nodes, is_rope, positions)
     gap = barycentric_gap(weight, nodes, world, positions)
     length = wp.length(gap)
     contact_weights[world, slot] = weight
-    contact_impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
     normal = facing(world, nodes, is_rope, positions)
     area = wp.length(normal)
     is_inside = weight[1] < -1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
@@ -300,23 +181,8 @@ def compute_contact_impulse(
     if slip > 0.0:
         cancelled = wp.min(1.0, friction * depth / slip)
     contact_impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
-
-
-@wp.func
-def count_active(
-    world: int,
-    node: int,
-    contacts_of_node: wp.array3d(dtype=int),
-    num_contacts_of_node: wp.array2d(dtype=int),
-    contact_impulses: wp.array2d(dtype=wp.vec3),
-) -> int:
-    """Return the number of contacts that push a node in this substep."""
-    count = int(0)
-    for entry in range(num_contacts_of_node[world, node]):
-        impulse = contact_impulses[world, contacts_of_node[world, node, entry] // 4]
-        if wp.dot(impulse, impulse) > 0.0:
-            count += 1
-    return count
+    for k in range(4):
+        wp.atomic_add(num_active, world, nodes[k], 1)
 
 
 @wp.func

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernel_data import SelfContacts
+from maniskill_grpd.physics.kernel_data import Worlds
 from maniskill_grpd.physics.kernels import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.self_contact_functions import BLOCK, MAX_CONTACTS_PER_NODE, SLOTS
-from maniskill_grpd.physics.upload import choose_features, geodesic_table, upload_objects, upload_obstacles
+from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
+from maniskill_grpd.physics.upload import choose_features, upload_objects, upload_obstacles
+from maniskill_grpd.physics.world_state import WORLD_TYPES, WorldState
 
-STANDARD_GRAVITY = 9.81
 # Below this many worlds a second thread costs more than it brings.
 MIN_WORLDS_PER_THREAD = 16
 # Lanes of a block on CUDA: more only pay when a colour has more constraints than lanes.
@@ -28,7 +26,7 @@ SMALL_BLOCK_DIM, LARGE_BLOCK_DIM, LARGE_OBJECT = 64, 256, 200
 SEARCHES_PER_STEP = 4
 
 
-class Solver:
+class Solver(WorldState):
     """XPBD with small substeps for B worlds, each with one of M object variants.
 
     Every state tensor is allocated once and shared with Warp: write into it, never rebind it. `step()` allocates nothing and does
@@ -63,6 +61,9 @@ class Solver:
         collider_sizes: (B, K, 3) [m], by kind (see `Collider`).
         collider_active: (B, K) bool; inactive ones are not there.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
+
+        dropped_contacts: How often since its reset a world had more contacts with itself than there is room for, (B,) int32. The
+            nearest are kept; what is dropped may pass through.
 
     Limitations: colliders stand still during a step; contact of an object with itself is between nodes and triangles (cloth) or
     segments (rope), not between two edges of a cloth; friction and damping dissipate momentum; first order in the substep, with
@@ -117,24 +118,17 @@ class Solver:
             raise ValueError(f"control_dt must be > 0 s, got {control_dt}")
         if num_threads is not None and num_threads < 1:
             raise ValueError(f"num_threads must be >= 1, got {num_threads}")
-        self.models = (model,) if isinstance(model, Model) else tuple(model)
-        if not self.models:
+        models = (model,) if isinstance(model, Model) else tuple(model)
+        if not models:
             raise ValueError("a solver needs at least one model, got none")
-        self.model = self.models[0]
-        self.num_worlds = num_worlds
-        self.num_grippers = num_grippers
-        self.num_nodes = max(entry.num_nodes for entry in self.models)
+        super().__init__(models, num_worlds, num_grippers, tuple(colliders), torch.device(device))
         self.control_dt = control_dt
-        self.substeps = max(entry.default_substeps for entry in self.models) if substeps is None else substeps
-        self.device = torch.device(device)
-        self.colliders = tuple(colliders)
+        self.substeps = max(entry.default_substeps for entry in models) if substeps is None else substeps
         self.patch_radius = patch_radius
         self.capture_radius = capture_radius
         self._features = choose_features(self.models, self.colliders, self_collision)
-        self._allocate_variants()
-        self._allocate_state()
-        self._allocate_colliders()
-        self._allocate_scratch()
+        wp.init()
+        self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features.tethers, self.device)
         self._commands = self._record_commands(self._choose_num_threads(num_threads))
         self._pool = ThreadPoolExecutor(len(self._commands)) if len(self._commands) > 1 else None
 
@@ -183,6 +177,7 @@ class Solver:
             self.positions[world_idx] *= self.node_mask[world_idx, :, None]
         self.velocities[world_idx] = 0.0
         self.frozen[world_idx] = False
+        self.dropped_contacts[world_idx] = 0
         self.holder[world_idx] = -1
         self.hold_offsets[world_idx] = 0.0
         self.leashes[world_idx] = NO_LEASH
@@ -318,6 +313,7 @@ class Solver:
             raise ValueError(f"variants must be in [0, {len(self.models) - 1}], got {variants.min()} to {variants.max()}")
         variants = variants.to(self.device, torch.int64)
         self.variants[world_idx] = variants.to(torch.int32)
+        self._groups.assign(self.variants)
         self.node_mask[world_idx] = self._node_masks[variants]
         self.inverse_masses[world_idx] = self._inverse_masses[variants]
         self.friction[world_idx] = self._friction[variants]
@@ -332,116 +328,10 @@ class Solver:
             raise ValueError(f"the factor on {name} must be finite and {'> 0' if positive else '>= 0'}, got {value}")
         return factor
 
-    def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that the next step depends on, each as a copy (B, D) in float32."""
-        return {
-            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True)
-            for name, tensor in self._state_tensors.items()
-        }
-
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
-        """Restore what `state()` returned, for all worlds or for `world_idx` (b,) with rows (b, D).
-
-        Raises:
-            ValueError: If a group is missing or has the wrong width.
-        """
-        missing = sorted(set(self._state_tensors) - set(state))
-        if missing:
-            raise ValueError(f"the solver's state lacks {missing}; it needs {sorted(self._state_tensors)}")
-        rows = slice(None) if world_idx is None else world_idx
-        for name, tensor in self._state_tensors.items():
-            value = state[name]
-            width = math.prod(tensor.shape[1:])
-            if value.ndim != 2 or value.shape[1] != width:
-                raise ValueError(f"state {name!r} must be (worlds, {width}), got {tuple(value.shape)}")
-            tensor[rows] = value.reshape(-1, *tensor.shape[1:]).to(tensor)
-        self.node_mask[rows] = self._node_masks[self.variants[rows].long()]
-
-    @property
-    def _state_tensors(self) -> dict[str, torch.Tensor]:
-        names = [
-            "positions", "velocities", "inverse_masses", "gravity", "plane", "friction", "damping", "stretch_scale", "bend_scale",
-            "gripper_positions", "gripper_targets", "gripper_nodes", "closed", "holder", "hold_offsets", "leashes", "frozen",
-        ]  # fmt: skip
-        if len(self.models) > 1:
-            names.append("variants")
-        if self.colliders:
-            names += ["collider_positions", "collider_rotations", "collider_sizes", "collider_active"]
-        return {name: getattr(self, name) for name in names}
-
-    def _allocate_variants(self) -> None:
-        """Tabulate what differs between variants, padded to N nodes: (M, N, ...)."""
-        device, count = self.device, len(self.models)
-        self._geodesics = torch.as_tensor(geodesic_table(self.models), device=device)
-        self._rest_positions = torch.zeros(count, self.num_nodes, 3, device=device)
-        self._inverse_masses = torch.zeros(count, self.num_nodes, device=device)
-        self._node_masks = torch.zeros(count, self.num_nodes, dtype=torch.bool, device=device)
-        for index, model in enumerate(self.models):
-            self._rest_positions[index, : model.num_nodes] = torch.as_tensor(model.rest_positions)
-            self._inverse_masses[index, : model.num_nodes] = 1.0 / torch.as_tensor(model.masses)
-            self._node_masks[index, : model.num_nodes] = True
-        self._friction = torch.tensor([model.friction for model in self.models], device=device)
-        self._damping = torch.tensor([model.damping for model in self.models], device=device)
-
-    def _allocate_state(self) -> None:
-        shape, device = (self.num_worlds, self.num_nodes), self.device
-        self.variants = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
-        self.node_mask = self._node_masks[:1].repeat(self.num_worlds, 1)
-        self.positions = self._rest_positions[:1].repeat(self.num_worlds, 1, 1)
-        self.velocities = torch.zeros(*shape, 3, device=device)
-        self.inverse_masses = self._inverse_masses[:1].repeat(self.num_worlds, 1)
-        self.gravity = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=device).repeat(self.num_worlds, 1)
-        self.plane = torch.tensor([0.0, 0.0, 1.0, 0.0], device=device).repeat(self.num_worlds, 1)
-        self.friction = torch.full((self.num_worlds,), self.model.friction, device=device)
-        self.damping = torch.full((self.num_worlds,), self.model.damping, device=device)
-        self.stretch_scale = torch.ones(self.num_worlds, device=device)
-        self.bend_scale = torch.ones(self.num_worlds, device=device)
-        self.gripper_positions = torch.zeros(self.num_worlds, self.num_grippers, 3, device=device)
-        self.gripper_targets = torch.zeros_like(self.gripper_positions)
-        self.gripper_forces = torch.zeros_like(self.gripper_positions)
-        self.gripper_nodes = torch.full((self.num_worlds, self.num_grippers), -1, dtype=torch.int32, device=device)
-        self.closed = torch.zeros(self.num_worlds, self.num_grippers, dtype=torch.bool, device=device)
-        self.holder = torch.full(shape, -1, dtype=torch.int32, device=device)
-        self.hold_offsets = torch.zeros(*shape, 3, device=device)
-        self.leashes = torch.full((self.num_worlds, self.num_grippers, self.num_grippers), NO_LEASH, device=device)
-        self.frozen = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
-
-    def _allocate_colliders(self) -> None:
-        device, shape = self.device, (self.num_worlds, len(self.colliders))
-        self.collider_positions = torch.zeros(*shape, 3, device=device)
-        self.collider_rotations = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(*shape, 1)
-        sizes = np.array([collider.size for collider in self.colliders], dtype=np.float32).reshape(-1, 3)
-        self.collider_sizes = torch.as_tensor(sizes, device=device).repeat(self.num_worlds, 1, 1)
-        self.collider_active = torch.ones(shape, dtype=torch.bool, device=device)
-
-    def _allocate_scratch(self) -> None:
-        """Allocate what the kernel needs within one step; nothing here outlives it."""
-        device, count, features = self.device, self.num_worlds, self._features
-
-        def scratch(*shape: int, used: bool = True, dtype: torch.dtype = torch.float32) -> torch.Tensor:
-            return torch.zeros(count, *(shape if used else [1] * len(shape)), dtype=dtype, device=device)
-
-        nodes, slots = self.num_nodes, self.num_nodes * SLOTS
-        self._previous, self._backup, self._reactions = (scratch(nodes, 3) for _ in range(3))
-        self._weights = scratch(nodes)
-        self._tether_impulses = torch.zeros(count, self.num_grippers, nodes if features.tethers else 1, 3, device=device)
-        edges = max(len(model.edges) for model in self.models)
-        self._directions, self._upper, self._multipliers = scratch(edges, 3), scratch(edges), scratch(edges)
-        used = features.self_contact
-        blocks = 2 * nodes // BLOCK + 1 if used else 1  # a cloth has less than two triangles for each node
-        self._contacts = {
-            "nodes": (torch.zeros(count, slots if used else 1, 4, dtype=torch.int32, device=device), wp.vec4i),
-            "sides": (scratch(slots, used=used), wp.float32),
-            "gaps": (scratch(slots, used=used), wp.float32),
-            "weights": (torch.zeros(count, slots if used else 1, 4, device=device), wp.vec4),
-            "impulses": (torch.zeros(count, slots if used else 1, 3, device=device), wp.vec3),
-            "counts": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "of_node": (scratch(nodes, MAX_CONTACTS_PER_NODE, used=used, dtype=torch.int32), wp.int32),
-            "num_of_node": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "num_active": (scratch(nodes, used=used, dtype=torch.int32), wp.int32),
-            "block_spheres": (torch.zeros(count, blocks, 4, device=device), wp.vec4),
-            "block_speeds": (torch.zeros(count, blocks, device=device), wp.float32),
-        }
+        """Restore what `state()` returned, see `WorldState.set_state`."""
+        super().set_state(state, world_idx)
+        self._groups.assign(self.variants)
 
     def _choose_num_threads(self, num_threads: int | None) -> int:
         if self.device.type == "cuda":
@@ -456,45 +346,33 @@ class Solver:
         return LARGE_BLOCK_DIM if self.num_nodes > LARGE_OBJECT else SMALL_BLOCK_DIM
 
     def _record_commands(self, num_threads: int) -> list[wp.Launch]:
-        """Record one launch per thread, each over a contiguous share of the worlds."""
-        wp.init()
+        """Record one launch per thread, each over every `num_threads`-th group of worlds."""
         device, block_dim = str(self.device), self._choose_block_dim()
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
+        obstacles, meshes = upload_obstacles(self.colliders, device)
+        if self.colliders:
+            obstacles.positions = wp.from_torch(self.collider_positions, dtype=wp.vec3)
+            obstacles.rotations = wp.from_torch(self.collider_rotations, dtype=wp.vec4)
+            obstacles.sizes = wp.from_torch(self.collider_sizes, dtype=wp.vec3)
+            obstacles.active = wp.from_torch(self.collider_active, dtype=wp.bool)
+        worlds = Worlds()
+        for name, dtype in WORLD_TYPES.items():
+            setattr(worlds, name, wp.from_torch(getattr(self, name), dtype=dtype))
+        touches = self._features.colliders or self._features.self_contact
+        touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
+        contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         time = [self.substeps, max(1, self.substeps // SEARCHES_PER_STEP), self.control_dt / self.substeps]
-        world_tensors = [
-            (self.variants, wp.int32), (self.gravity, wp.vec3), (self.plane, wp.vec4), (self.friction, wp.float32),
-            (self.damping, wp.float32), (self.stretch_scale, wp.float32), (self.bend_scale, wp.float32),
-            (self.inverse_masses, wp.float32), (self.holder, wp.int32), (self.hold_offsets, wp.vec3),
-            (self.gripper_nodes, wp.int32), (self.leashes, wp.float32),
-            (self.gripper_targets, wp.vec3), (self.gripper_positions, wp.vec3), (self.positions, wp.vec3),
-            (self.velocities, wp.vec3), (self.frozen, wp.bool), (self.gripper_forces, wp.vec3),
-            (self._previous, wp.vec3), (self._backup, wp.vec3), (self._weights, wp.float32), (self._reactions, wp.vec3),
-            (self._tether_impulses, wp.vec3), (self._directions, wp.vec3), (self._upper, wp.float32),
-            (self._multipliers, wp.float32),
-        ]  # fmt: skip
-        commands = []
-        self._uploaded = [objects]  # keeps device memory alive that only recorded launches refer to
-        for part in range(num_threads):
-            worlds = slice(part * self.num_worlds // num_threads, (part + 1) * self.num_worlds // num_threads)
-            arrays = [wp.from_torch(tensor[worlds], dtype=dtype) for tensor, dtype in world_tensors]
-            obstacles, meshes = upload_obstacles(self.colliders, device)
-            if self.colliders:
-                obstacles.positions = wp.from_torch(self.collider_positions[worlds], dtype=wp.vec3)
-                obstacles.rotations = wp.from_torch(self.collider_rotations[worlds], dtype=wp.vec4)
-                obstacles.sizes = wp.from_torch(self.collider_sizes[worlds], dtype=wp.vec3)
-                obstacles.active = wp.from_torch(self.collider_active[worlds], dtype=wp.bool)
-            contacts = SelfContacts()
-            for name, (tensor, dtype) in self._contacts.items():
-                setattr(contacts, name, wp.from_torch(tensor[worlds], dtype=dtype))
-            self._uploaded += [obstacles, meshes, contacts]
-            commands.append(
-                wp.launch(
-                    build_step_kernel(self._features),
-                    dim=(worlds.stop - worlds.start, block_dim),
-                    inputs=[objects, obstacles, *time, *arrays, contacts],
-                    device=device,
-                    block_dim=block_dim,
-                    record_cmd=True,
-                )
+        contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
+        self._uploaded = [objects, obstacles, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
+        num_threads = min(num_threads, self._groups.count)
+        return [
+            wp.launch(
+                build_step_kernel(self._features, self._groups.in_lanes),
+                dim=(len(range(part, self._groups.count, num_threads)), block_dim),
+                inputs=[objects, obstacles, worlds, self._groups.data, touch, contacts, *time, part, num_threads],
+                device=device,
+                block_dim=block_dim,
+                record_cmd=True,
             )
-        return commands
+            for part in range(num_threads)
+        ]

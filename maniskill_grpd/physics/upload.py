@@ -48,6 +48,7 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.node_counts = array([model.num_nodes for model in models], int)
     objects.radii = array([model.radius for model in models], float)
     objects.max_stretch = array([1.0 + model.max_strain for model in models], float)
+    objects.wrinkling = array([max(1.0 - model.wrinkle_strain, 0.0) for model in models], float)
     lines = _lines_by_color(models)
     objects.line_ranges, objects.line_colors = array(lines["ranges"], int), array(lines["colors"], int)
     objects.line_edges, objects.line_nodes = array(lines["edges"], int), array(lines["nodes"], int)
@@ -159,8 +160,21 @@ def _by_color(variants: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, n
 
 
 def _elements(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles of a cloth, or the segments of a rope with their second node twice, and their extent [m]."""
+    """Return the triangles of a cloth, or the segments of a rope with their second node twice, and their extent [m].
+
+    Triangles are sorted so that those that follow each other lie together, in blocks rather than in rows.
+    """
     if len(model.faces) == 0:
         return model.edges[:, [0, 1, 1]], model.rest_lengths
     corners = model.rest_positions[model.faces]
-    return model.faces, np.linalg.norm(corners - corners[:, :1], axis=-1).max(axis=1)
+    faces = np.argsort(_z_order(corners.mean(axis=1)[:, :2]), kind="stable")
+    return model.faces[faces], np.linalg.norm(corners - corners[:, :1], axis=-1).max(axis=1)[faces]
+
+
+def _z_order(points: np.ndarray) -> np.ndarray:
+    """Return keys (P,) int64 that sort points (P, 2) along a curve that fills the plane (Morton 1966)."""
+    low = points.min(axis=0)
+    cells = ((points - low) / max(np.ptp(points, axis=0).max(), 1e-9) * 1023.0).astype(np.int64)
+    bits = np.arange(10)
+    spread = ((cells[:, :, None] >> bits) & 1) << (2 * bits)
+    return spread[:, 0].sum(axis=1) | (spread[:, 1].sum(axis=1) << 1)

@@ -21,7 +21,7 @@ from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.drawing import Drawing, Sheet
 from maniskill_grpd.tasks.gripper_teams import gripper_teams
-from maniskill_grpd.tasks.hanger import Hanger
+from maniskill_grpd.tasks.hanger import Hanger, Hanging
 from maniskill_grpd.tasks.peg_hanger import PegHanger
 from maniskill_grpd.tasks.resolutions import check_resolutions
 
@@ -122,7 +122,7 @@ class ClothHangingEnv(DeformableEnv):
     # A cloth that waits before the hanger must earn clearly less than one that hangs (docs/decisions.md).
     WAY_WEIGHT = 0.2
     """Share of the reward that draws the seat to the hanger from anywhere."""
-    WAY_SCALE = 0.3
+    WAY_SCALE = 0.5
     """Way [m] at which that share has fallen to a quarter."""
     ALIGNMENT_WEIGHT = 0.1
     """Share for turning the cloth, felt near the hanger."""
@@ -130,6 +130,13 @@ class ClothHangingEnv(DeformableEnv):
     """Share for coming down the hanger."""
     SUCCESS_WEIGHT = 0.5
     """Share for success; with release a fifth of it is for opening grippers while the cloth hangs."""
+
+    hanging: Hanging
+    """How the cloths hang, as `evaluate` last measured it."""
+    rest_positions: torch.Tensor
+    """Nodes of all variants in the flat cloth, padded, (M, N, 3) [m]."""
+    seat_nodes: torch.Tensor
+    """Nodes around the seat of all variants in order, the last repeated, (M, L) int64."""
 
     def __init__(
         self,
@@ -244,16 +251,16 @@ class ClothHangingEnv(DeformableEnv):
 
     def evaluate(self) -> dict[str, torch.Tensor]:
         """Measure how the cloth hangs; observation and reward reuse it."""
-        self._hanging = self._hanger.measure(self.solver, self.seat_loop(), self.hanger_point, self.hanger_axis)
+        self.hanging = self._hanger.measure(self.solver, self.seat_loop(), self.hanger_point, self.hanger_axis)
         fail = self.solver.frozen.clone()
-        success = self._hanging.is_hung & ~fail
+        success = self.hanging.is_hung & ~fail
         if self.release:
             success = success & (self._open_steps >= self.OPEN_STEPS)
-        return {"success": success, "fail": fail, "is_hung": self._hanging.is_hung, **self._hanging.measures}
+        return {"success": success, "fail": fail, "is_hung": self.hanging.is_hung, **self.hanging.measures}
 
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
         """Return rewards in [0, 1], (B,); 0 after a failure."""
-        hanging, done = self._hanging, info["success"].float()
+        hanging, done = self.hanging, info["success"].float()
         if self.release:
             done = 0.8 * done + 0.2 * (~self.solver.closed).float().mean(dim=1) * hanging.is_hung
         near = 1.0 - torch.tanh(hanging.way / self.WAY_SCALE)
@@ -270,7 +277,7 @@ class ClothHangingEnv(DeformableEnv):
         return {**self._hanger_values(self.solver.positions), "seat": seat}
 
     def _gripper_values(self) -> dict[str, torch.Tensor]:
-        grippers, hanging = self.solver.gripper_positions, self._hanging
+        grippers, hanging = self.solver.gripper_positions, self.hanging
         return {
             **self._hanger_values(grippers),
             "seat_offset": hanging.offset[:, None].expand_as(grippers),

@@ -11,6 +11,7 @@ pytest.importorskip("mani_skill")
 
 import demo
 import evaluate
+import plot_learning_curve
 import record_video
 import train
 
@@ -80,6 +81,35 @@ def test_bad_options_are_explained(capsys):
         train.main(["--algorithm", "trpo"])
     assert exit_info.value.code == 2
     assert "one of bpp, ppo" in capsys.readouterr().err
+
+
+def test_free_grasps_are_trained_and_played_with_a_gripper_output(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = [*TINY, "grasp=free", "--exp_name", "free", "--total_timesteps", "20"]
+    assert train.main(arguments) == 0
+    contents = load_checkpoint("runs/free/final_ckpt.pt")
+    assert contents["policy"]["options"]["gripper"] is True
+    rows = read_rows(tmp_path / "runs" / "free" / "metrics.jsonl", "train")
+    assert 0.0 < rows[0]["charts/grip_closed"] < 1.0
+    assert evaluate.main(["--checkpoint", "runs/free/final_ckpt.pt", "--num_episodes", "1"]) == 0
+    refused = [*TINY, "grasp=free", "--exp_name", "other", "--policy_kwargs", "gripper=false"]
+    assert train.main([*refused, "--total_timesteps", "20"]) == 1
+    assert "gripper=false but the task opens and closes grippers" in capsys.readouterr().err
+
+
+def test_materials_vary_and_observations_are_noisy_in_training(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = ['material={"stretch": [0.5, 2], "friction": [0.5, 1.5]}', "--position_noise", "0.01"]
+    arguments = [*TINY, *options, "--velocity_noise", "0.05", "--exp_name", "noisy"]
+    assert train.main([*arguments, "--total_timesteps", "20"]) == 0
+    config = load_checkpoint("runs/noisy/final_ckpt.pt")["train_config"]
+    assert config["position_noise"] == 0.01
+
+
+def test_curves_of_unknown_metrics_are_refused_with_what_there_is(run_dir, capsys):
+    assert plot_learning_curve.main([str(run_dir), "--metrics", "speed"]) == 1
+    assert "has not logged speed; it has" in capsys.readouterr().err
+    assert plot_learning_curve.main([str(run_dir), "--metrics", "return", "success_at_end"]) == 0
 
 
 def test_training_starts_from_given_weights(run_dir, monkeypatch):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maniskill_grpd.evaluation.curves import Curve, efficiency_band, mean_over_training, steps_to_reach
+from maniskill_grpd.evaluation.curves import Curve, efficiency_band, mean_over_training
 
 
 def curve(steps, scores):
@@ -19,17 +19,6 @@ def test_mean_over_training_is_the_area_over_the_width():
 def test_learning_earlier_scores_more():
     early, late = curve([0, 1, 2, 3], [0, 1, 1, 1]), curve([0, 1, 2, 3], [0, 0, 0, 1])
     assert mean_over_training(early) > mean_over_training(late)
-
-
-def test_steps_to_reach_a_score_are_interpolated():
-    rising = curve([100, 200, 300], [0.0, 0.5, 1.0])
-    assert steps_to_reach(rising, 0.75) == 250
-    assert steps_to_reach(rising, 0.0) == 100
-    assert steps_to_reach(rising, 1.1) == np.inf
-
-
-def test_the_first_time_counts_even_if_it_is_lost_again():
-    assert steps_to_reach(curve([0, 1, 2, 3], [0.0, 1.0, 0.0, 1.0]), 0.5) == 0.5
 
 
 def test_band_ends_where_the_shortest_run_does():

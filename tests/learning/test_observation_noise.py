@@ -64,6 +64,14 @@ def test_what_follows_from_a_position_follows_from_the_noisy_one():
         torch.testing.assert_close(distance, offset.norm(dim=-1), atol=1e-5, rtol=0)
 
 
+def test_a_distance_from_elsewhere_changes_little_under_little_noise():
+    graph, _ = make_graph()
+    graph["object"]["scalars"][..., 1] *= 0.5  # from a surface, half way
+    noisy = disturb(graph, 1e-4)
+    change = noisy["object"]["scalars"][..., 1] - graph["object"]["scalars"][..., 1]
+    assert 0.0 < change.abs().max() < 1e-3
+
+
 def test_without_noise_the_graph_is_handed_on():
     graph = ToyEnv(2).reset([0, 1])[0]["graph"]
     assert disturb(graph, schema=SCHEMA) is graph

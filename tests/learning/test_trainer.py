@@ -195,6 +195,22 @@ def test_checkpoints_are_written(unbroken):
     assert load_checkpoint(unbroken / "last.pt")["iteration"] == 9
 
 
+def test_the_best_checkpoint_follows_the_chosen_metric(tmp_path):
+    config = dataclasses.replace(CONFIG, best_metric="return")
+    make_toy_trainer(tmp_path, config).train()
+    returns = [row["eval/return"] for row in read_rows(tmp_path / "metrics.jsonl", "eval")]
+    assert load_checkpoint(tmp_path / "best_ckpt.pt")["best_score"] == [max(returns)] * 2
+
+
+def test_a_task_without_the_chosen_metric_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "maniskill_grpd.learning.trainer.evaluate_policy",
+        lambda *args: {"return": torch.zeros(2)},
+    )
+    with pytest.raises(ValueError, match="does not report success_at_end.*--best_metric"):
+        make_toy_trainer(tmp_path).train()
+
+
 def test_without_save_model_nothing_is_saved_and_the_run_is_the_same(tmp_path, unbroken):
     make_toy_trainer(tmp_path, dataclasses.replace(CONFIG, save_model=False)).train()
     assert not list(tmp_path.glob("*.pt"))

@@ -131,9 +131,15 @@ def test_distances_go_around_holes_and_corners():
     assert holed.geodesic_distances(np.array([left]))[right, 0] == pytest.approx(exact, rel=0.02)
 
 
-def drag(num_nodes: int, num_worlds: int, gripped: list[int], num_steps: int = 40) -> torch.Tensor:
-    """Drag a held cloth to and fro at full speed and return the strain of its edges, (T, B, E)."""
-    model = cloth(square_outline(0.4), num_nodes=num_nodes)
+def drag(
+    num_nodes: int, num_worlds: int, gripped: list[int], num_steps: int = 40, *, apart: bool = False, **material
+) -> torch.Tensor:
+    """Drag a held cloth to and fro at full speed, its grippers together or each its own way.
+
+    Returns:
+        Strain of its edges, (T, B, E).
+    """
+    model = cloth(square_outline(0.4), num_nodes=num_nodes, material=ClothMaterial(**material))
     solver = Solver(model, num_worlds, len(gripped))
     solver.plane[:, 3] = -100.0
     solver.reset(torch.arange(num_worlds), gripper_nodes=torch.as_tensor(model.node_sets["corners"][gripped]))
@@ -143,7 +149,7 @@ def drag(num_nodes: int, num_worlds: int, gripped: list[int], num_steps: int = 4
     strains = []
     for step in range(num_steps):
         if step % 10 == 0:
-            direction = torch.randn(num_worlds, 1, 3, generator=generator)
+            direction = torch.randn(num_worlds, len(gripped) if apart else 1, 3, generator=generator)
             move = MAX_STEP * direction / direction.norm(dim=-1, keepdim=True)
         solver.gripper_targets.copy_(solver.gripper_positions + move)
         solver.step()
@@ -163,6 +169,19 @@ def test_cloth_keeps_its_size_when_dragged_at_full_speed(gripped):
 def test_fine_cloth_keeps_its_size_when_dragged_at_full_speed(gripped):
     strain = drag(1225, 1, gripped).abs()
     assert torch.quantile(strain.flatten()[::3], 0.99) < 0.10
+
+
+@pytest.mark.parametrize(("num_nodes", "bound"), [(100, 0.05), (1225, 0.10)])
+def test_corners_dragged_apart_do_not_stretch_the_cloth(num_nodes, bound):
+    """Each corner goes its own way. Edges may become shorter, where the cloth wrinkles, but not longer."""
+    strain = drag(num_nodes, 16 if num_nodes == 100 else 2, [0, 1, 2, 3], 40, apart=True)
+    assert torch.quantile(strain.flatten()[::3], 0.99) < bound
+
+
+def test_a_cloth_that_cannot_wrinkle_locks():
+    """Negative control: a mesh that resists compression stretches where its corners approach in two directions."""
+    strain = drag(100, 16, [0, 1, 2, 3], 40, apart=True, wrinkle_strain=np.inf)
+    assert torch.quantile(strain.flatten()[::3], 0.99) > 0.05
 
 
 @pytest.mark.parametrize(

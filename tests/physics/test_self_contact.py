@@ -111,3 +111,16 @@ def test_self_contact_keeps_momentum_and_is_reproducible():
     above = results[0][0, middle & (model.rest_positions[:, 0] > 0), 2].mean()
     below = results[0][0, middle & (model.rest_positions[:, 0] < 0), 2].mean()
     assert above > below
+
+
+def test_contacts_without_room_are_counted_until_the_reset():
+    """All triangles of a crumpled cloth lie within its thickness: far more contacts than a node has room for."""
+    model = cloth(square_outline(0.4), num_nodes=400, radius=0.02)
+    solver = Solver(model, 2, 1, self_collision=True)
+    crumpled = torch.as_tensor(model.rest_positions) * 0.1 + torch.tensor([0.0, 0.0, 0.5])
+    solver.reset(torch.tensor([1]), crumpled[None])
+    solver.step()
+    assert solver.dropped_contacts[0] == 0
+    assert solver.dropped_contacts[1] > 0
+    solver.reset(torch.tensor([1]))
+    assert solver.dropped_contacts.tolist() == [0, 0]

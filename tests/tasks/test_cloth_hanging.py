@@ -254,7 +254,8 @@ def test_coming_from_beside_the_peg_the_way_leads_round_the_tip(make_env):
     """Beside the peg nearer to it is no better, but nearer to its front is."""
     base = make_env(3).unwrapped
     lay_on_peg(base, [0.1, 0.1, 0.0], 0.0, [0.15, 0.3, 0.3])
-    way = base.evaluate() and base._hanging.way
+    base.evaluate()
+    way = base.hanging.way
     assert way[0] > 0.2
     assert way[2] < way[1]
 
@@ -426,3 +427,20 @@ def test_a_peg_does_not_pierce_the_cloth_at_full_speed(make_env):
     depth = -(relative * base.hanger_axis[:, None]).sum(-1)
     assert (depth.amin(dim=1) < 0.0).all()  # the tip holds it back
     assert (depth.amax(dim=1) > 0.03).all()
+
+
+# ---------------------------------------------------------------- pictures
+
+
+@pytest.mark.parametrize(("options", "num_solids"), [({}, 2), ({"hanger": "bar"}, 1)])
+def test_drawings_show_the_cloth_of_the_world_and_its_hanger(make_env, options, num_solids):
+    base = make_env(8, shapes=("square", "circle"), **options).unwrapped
+    for world in range(8):
+        model, drawing = base.models[int(base.solver.variants[world])], base._drawing(world)
+        np.testing.assert_array_equal(drawing.object.vertices, base.solver.positions[world, : model.num_nodes])
+        np.testing.assert_array_equal(drawing.object.faces, model.faces)
+        assert not drawing.has_table
+        assert len(drawing.solids) == num_solids
+        pose = base.hanger_point[[world]], base.hanger_axis[[world]]
+        distance = base._hanger.distances_to(torch.as_tensor(drawing.solids[0].vertices[None], dtype=torch.float32), *pose)
+        assert distance.abs().max() < 1e-4  # what is drawn is what is touched

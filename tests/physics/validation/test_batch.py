@@ -90,3 +90,20 @@ def test_padding_does_not_move_and_carries_no_mass():
     assert padding.any()
     assert (solver.velocities[padding] == 0.0).all()
     assert torch.isfinite(solver.positions[padding]).all()
+
+
+def test_variants_may_change_in_any_order_and_number():
+    """Worlds change their variant again and again, so that they are advanced beside ever different others."""
+    generator = torch.Generator().manual_seed(0)
+    batch = mixed_solver(37)
+    for _ in range(4):
+        variants = torch.randint(len(MODELS), (37,), generator=generator)
+        batch.reset(torch.arange(37), variants=variants)
+        for _ in range(2):
+            batch.step()
+    for world in (0, 17, 36):
+        alone = mixed_solver(1)
+        alone.reset(torch.tensor([0]), variants=variants[world : world + 1])
+        for _ in range(2):
+            alone.step()
+        assert torch.equal(alone.positions[0], batch.positions[world])

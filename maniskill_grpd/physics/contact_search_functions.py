@@ -1,0 +1,237 @@
+"""Search for what an object may touch of itself, called by the fused kernel a few times per control step.
+
+Elements (triangles, segments) lie in blocks and blocks in clusters, each with a sphere about it, so that a node passes over what
+is far away as a whole. Every owner writes into its own slots only.
+"""
+
+import warp as wp
+
+from maniskill_grpd.physics.self_contact_functions import (
+    MAX_CONTACTS_PER_NODE,
+    SLOTS,
+    barycentric_gap,
+    closest_weights,
+    facing,
+)
+
+# Elements in a block that a search passes over as a whole when all of it is too far away.
+BLOCK = wp.constant(16)
+# Elements that are closer than this fraction of the reach touch: reach is three times the radius, thickness two.
+TOUCHING = wp.constant(2.0 / 3.0)
+# Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
+MAX_APPROACH = wp.constant(0.04)
+
+
+@wp.func
+def bound_block(
+    world: int,
+    block: int,
+    first_element: int,
+    num_elements: int,
+    elements: wp.array(dtype=wp.vec3i),
+    element_radii: wp.array(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    block_motions: wp.array2d(dtype=wp.vec4),
+):
+    """Compute a sphere (centre, radius) about the first corners of the elements of a block, and one about their velocities.
+
+    The first is widened by the radii of the elements.
+    """
+    start = block * BLOCK
+    end = wp.min(start + BLOCK, num_elements)
+    center = wp.vec3(0.0, 0.0, 0.0)
+    velocity = wp.vec3(0.0, 0.0, 0.0)
+    for element in range(start, end):
+        center += positions[world, elements[first_element + element][0]] / float(end - start)
+        velocity += velocities[world, elements[first_element + element][0]] / float(end - start)
+    radius = float(0.0)
+    spread = float(0.0)
+    for element in range(start, end):
+        corner = elements[first_element + element][0]
+        radius = wp.max(radius, wp.length(positions[world, corner] - center) + element_radii[first_element + element])
+        spread = wp.max(spread, wp.length(velocities[world, corner] - velocity))
+    block_spheres[world, block] = wp.vec4(center[0], center[1], center[2], radius)
+    block_motions[world, block] = wp.vec4(velocity[0], velocity[1], velocity[2], spread)
+
+
+@wp.func
+def bound_cluster(
+    world: int,
+    cluster: int,
+    num_blocks: int,
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    cluster_spheres: wp.array2d(dtype=wp.vec4),
+):
+    """Compute a sphere about the spheres of a cluster of blocks."""
+    start = cluster * BLOCK
+    end = wp.min(start + BLOCK, num_blocks)
+    center = wp.vec3(0.0, 0.0, 0.0)
+    for block in range(start, end):
+        sphere = block_spheres[world, block]
+        center += wp.vec3(sphere[0], sphere[1], sphere[2]) / float(end - start)
+    radius = float(0.0)
+    for block in range(start, end):
+        sphere = block_spheres[world, block]
+        radius = wp.max(radius, wp.length(wp.vec3(sphere[0], sphere[1], sphere[2]) - center) + sphere[3])
+    cluster_spheres[world, cluster] = wp.vec4(center[0], center[1], center[2], radius)
+
+
+@wp.func
+def is_near(x: wp.vec3, sphere: wp.vec4, margin: float) -> bool:
+    """Return whether a point is less than a margin away from a sphere (centre, radius)."""
+    offset = x - wp.vec3(sphere[0], sphere[1], sphere[2])
+    far = sphere[3] + margin
+    return wp.dot(offset, offset) < far * far
+
+
+@wp.func
+def keep_nearest(
+    world: int, first_slot: int, num_found: int, nodes: wp.vec4i, is_rope: bool, reach: float,
+    positions: wp.array2d(dtype=wp.vec3),
+    contact_nodes: wp.array2d(dtype=wp.vec4i), contact_sides: wp.array2d(dtype=float), contact_gaps: wp.array2d(dtype=float),
+) -> int:  # fmt: skip
+    """Write a candidate within reach into a free slot or that of the farthest, if that one is farther.
+
+    Returns:
+        1 if a slot was filled that was free, -1 if two elements that are closer than `TOUCHING` of the reach had to share one.
+    """
+    weight = closest_weights(world, nodes, is_rope, positions)
+    gap = barycentric_gap(weight, nodes, world, positions)
+    length = wp.length(gap)
+    if length >= reach:
+        return 0
+    slot = num_found
+    result = int(1)
+    if num_found == SLOTS:
+        slot = int(0)
+        for other in range(1, SLOTS):
+            if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
+                slot = other
+        farthest = contact_gaps[world, first_slot + slot]
+        result = wp.where(wp.max(length, farthest) < TOUCHING * reach, -1, 0)
+        if length >= farthest:
+            return result
+    contact_nodes[world, first_slot + slot] = nodes
+    contact_gaps[world, first_slot + slot] = length
+    side = wp.dot(gap, facing(world, nodes, is_rope, positions))
+    contact_sides[world, first_slot + slot] = wp.where(side < 0.0, -1.0, 1.0)
+    return result
+
+
+@wp.func
+def through_material(variant: int, owner: int, corners: wp.vec3i, geodesics: wp.array3d(dtype=float)) -> float:
+    """Return the distance through the material from a node to the nearest corner of an element."""
+    first = geodesics[variant, owner, corners[0]]
+    return wp.min(first, wp.min(geodesics[variant, owner, corners[1]], geodesics[variant, owner, corners[2]]))
+
+
+@wp.func
+def find_candidates(
+    world: int,
+    owner: int,
+    first_element: int,
+    num_elements: int,
+    is_rope: bool,
+    reach: float,
+    exclusion: float,
+    step_duration: float,
+    variant: int,
+    elements: wp.array(dtype=wp.vec3i),
+    element_radii: wp.array(dtype=float),
+    geodesics: wp.array3d(dtype=float),
+    positions: wp.array2d(dtype=wp.vec3),
+    velocities: wp.array2d(dtype=wp.vec3),
+    contact_nodes: wp.array2d(dtype=wp.vec4i),
+    contact_sides: wp.array2d(dtype=float),
+    contact_gaps: wp.array2d(dtype=float),
+    contact_counts: wp.array2d(dtype=int),
+    block_spheres: wp.array2d(dtype=wp.vec4),
+    block_motions: wp.array2d(dtype=wp.vec4),
+    cluster_spheres: wp.array2d(dtype=wp.vec4),
+) -> int:
+    """Fill the slots of a node (or segment) with the nearest elements that it may touch before the next search.
+
+    Elements that are closer than `exclusion` through the material are neighbours rather than contacts. When the slots are full
+    the farthest gives way, so that the result does not depend on anything but the positions. Returns how many contacts were lost.
+    """
+    num_found = int(0)
+    num_lost = int(0)
+    start = int(0)
+    if is_rope:
+        start = owner + 1
+    x = positions[world, owner]
+    v = velocities[world, owner]
+    num_blocks = (num_elements + BLOCK - 1) // BLOCK
+    for cluster in range(start // (BLOCK * BLOCK), (num_blocks + BLOCK - 1) // BLOCK):
+        if not is_near(x, cluster_spheres[world, cluster], reach + MAX_APPROACH):
+            continue
+        for block in range(wp.max(cluster * BLOCK, start // BLOCK), wp.min((cluster + 1) * BLOCK, num_blocks)):
+            if not is_near(x, block_spheres[world, block], reach + MAX_APPROACH):
+                continue
+            motion = block_motions[world, block]
+            speed = wp.length(v - wp.vec3(motion[0], motion[1], motion[2])) + motion[3]
+            block_approach = wp.min(speed * step_duration, MAX_APPROACH)
+            if not is_near(x, block_spheres[world, block], reach + block_approach):
+                continue
+            for element in range(wp.max(start, block * BLOCK), wp.min((block + 1) * BLOCK, num_elements)):
+                corners = elements[first_element + element]
+                bound = element_radii[first_element + element] + reach
+                distance = wp.length(x - positions[world, corners[0]])
+                if distance < bound + block_approach:
+                    approach = wp.min(wp.length(v - velocities[world, corners[0]]) * step_duration, MAX_APPROACH)
+                    if distance < bound + approach and through_material(variant, owner, corners, geodesics) > exclusion:
+                        nodes = wp.vec4i(owner, corners[0], corners[1], corners[2])
+                        if is_rope:
+                            nodes = wp.vec4i(owner, owner + 1, corners[0], corners[1])
+                        kept = keep_nearest(
+                            world, owner * SLOTS, num_found, nodes, is_rope, reach + approach, positions,
+                            contact_nodes, contact_sides, contact_gaps,
+                        )  # fmt: skip
+                        num_found += wp.max(kept, 0)
+                        num_lost -= wp.min(kept, 0)
+    contact_counts[world, owner] = num_found
+    return num_lost
+
+
+@wp.func
+def register_contacts(
+    world: int,
+    owner: int,
+    contact_nodes: wp.array2d(dtype=wp.vec4i),
+    contact_counts: wp.array2d(dtype=int),
+    contacts_of_node: wp.array3d(dtype=int),
+    num_contacts_of_node: wp.array2d(dtype=int),
+) -> int:
+    """Enter the contacts of one owner with each of their four nodes; return how many entries found no room.
+
+    The order of entry is undone by `sort_contacts`.
+    """
+    num_dropped = int(0)
+    for index in range(contact_counts[world, owner]):
+        slot = owner * SLOTS + index
+        nodes = contact_nodes[world, slot]
+        for k in range(4):
+            entry = wp.atomic_add(num_contacts_of_node, world, nodes[k], 1)
+            if entry < MAX_CONTACTS_PER_NODE:
+                contacts_of_node[world, nodes[k], entry] = 4 * slot + k
+            else:
+                num_dropped += 1
+    return num_dropped
+
+
+@wp.func
+def sort_contacts(
+    world: int, node: int, contacts_of_node: wp.array3d(dtype=int), num_contacts_of_node: wp.array2d(dtype=int)
+):
+    """Sort the contacts of a node, so that sums do not depend on the order in which lanes entered them."""
+    count = wp.min(num_contacts_of_node[world, node], MAX_CONTACTS_PER_NODE)
+    num_contacts_of_node[world, node] = count
+    for i in range(1, count):
+        entry = contacts_of_node[world, node, i]
+        j = int(i)
+        while j > 0 and contacts_of_node[world, node, wp.max(j - 1, 0)] > entry:
+            contacts_of_node[world, node, j] = contacts_of_node[world, node, j - 1]
+            j -= 1
+        contacts_of_node[world, node, j] = entry

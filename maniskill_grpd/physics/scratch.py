@@ -1,0 +1,107 @@
+"""Memory of the fused kernel beside the state: groups of worlds, contacts. Only who is in which group outlives a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+import warp as wp
+
+from maniskill_grpd.physics.contact_search_functions import BLOCK
+from maniskill_grpd.physics.kernel_data import LaneGroups, SelfContacts, SingleGroups, Touch
+from maniskill_grpd.physics.lanes import WIDTH, Numbers, Vectors
+from maniskill_grpd.physics.model import Model
+from maniskill_grpd.physics.self_contact_functions import MAX_CONTACTS_PER_NODE, SLOTS
+
+
+class WorldGroups:
+    """The groups in which worlds are advanced together: up to `WIDTH` worlds of one variant on CPU, single ones on CUDA.
+
+    Attributes:
+        count: Number of groups, enough for the worst mixture of variants; some may be empty.
+        in_lanes: Whether groups have lanes.
+        data: What the kernel gets.
+    """
+
+    def __init__(
+        self, models: Sequence[Model], num_worlds: int, num_grippers: int, has_tethers: bool, device: torch.device
+    ) -> None:
+        """Allocate all groups, with the first variant in all worlds."""
+        self.in_lanes = device.type == "cpu"
+        self._device = device
+        self._width = WIDTH if self.in_lanes else 1
+        partial = min(len(models), num_worlds)  # every variant may have a group that is not full
+        self.count = min((num_worlds + (self._width - 1) * partial) // self._width, num_worlds)
+        self._members = torch.zeros(self.count, self._width, dtype=torch.int32, device=device)
+        self._counts = torch.zeros(self.count, dtype=torch.int32, device=device)
+        self.assign(torch.zeros(num_worlds, dtype=torch.int32, device=device))
+        self.data = (LaneGroups if self.in_lanes else SingleGroups)()
+        self.data.members = wp.from_torch(self._members, dtype=wp.int32)
+        self.data.counts = wp.from_torch(self._counts, dtype=wp.int32)
+        nodes, edges = max(model.num_nodes for model in models), max(len(model.edges) for model in models)
+        self._allocate_columns(nodes, edges, num_grippers, nodes if has_tethers else 1)
+
+    def assign(self, variants: torch.Tensor) -> None:
+        """Put worlds into groups of one variant each; `variants` (B,) int32."""
+        worlds = torch.arange(len(variants), dtype=torch.int32, device=self._device)
+        alike = [worlds[variants == variant] for variant in torch.unique(variants)] if self.in_lanes else [worlds]
+        groups = [members for each in alike for members in each.split(self._width)]
+        self._counts.zero_()
+        for group, members in enumerate(groups):
+            self._members[group] = members[0]  # lanes without a world of their own repeat the first
+            self._members[group, : len(members)] = members
+            self._counts[group] = len(members)
+
+    def _allocate_columns(self, nodes: int, edges: int, grippers: int, tethered: int) -> None:
+        columns = {
+            "gravity": 1, "table_normals": 1, "positions": nodes, "previous": nodes, "velocities": nodes, "reactions": nodes,
+            "hold_starts": nodes, "hold_motions": nodes, "hold_offsets": nodes, "pulls": grippers, "tether_ends": grippers,
+            "directions": edges,
+        }  # fmt: skip
+        for name, width in columns.items():
+            setattr(self.data, name, self._vectors(self.count, width))
+        columns = {
+            "table_offsets": 1, "friction": 1, "decays": 1, "stretch_rates": 1, "bend_rates": 1, "weights": nodes, "held": nodes,
+            "upper": edges, "multipliers": edges,
+        }  # fmt: skip
+        for name, width in columns.items():
+            setattr(self.data, name, self._numbers(self.count, width))
+        for name, width in (("is_free", nodes), ("is_held", nodes), ("has_tethers", grippers)):
+            setattr(self.data, name, wp.zeros((self.count, width), dtype=wp.bool, device=str(self._device)))
+        self.data.tether_lengths = self._numbers(grippers, self.count, tethered)
+        self.data.tether_impulses = self._vectors(grippers, self.count, tethered)
+
+    # PyTorch aligns memory with cache lines, and so with vector registers.
+    def _numbers(self, *shape: int) -> wp.array:
+        lanes, dtype = ((WIDTH,), Numbers) if self.in_lanes else ((), wp.float32)
+        return wp.from_torch(torch.zeros(*shape, *lanes, device=self._device), dtype=dtype)
+
+    def _vectors(self, *shape: int) -> wp.array:
+        components, dtype = (3 * WIDTH, Vectors) if self.in_lanes else (3, wp.vec3)
+        return wp.from_torch(torch.zeros(*shape, components, device=self._device), dtype=dtype)
+
+
+def allocate_touch(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> Touch:
+    """Allocate scratch of single worlds for contact."""
+    touch, shape = Touch(), (num_worlds, num_nodes if used else 1)
+    for name in ("positions", "previous", "velocities", "reactions"):
+        setattr(touch, name, wp.zeros(shape, dtype=wp.vec3, device=str(device)))
+    touch.weights = wp.zeros(shape, dtype=wp.float32, device=str(device))
+    return touch
+
+
+def allocate_self_contacts(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> SelfContacts:
+    """Allocate the slots for contacts of objects with themselves."""
+    nodes = num_nodes if used else 1
+    slots, blocks = nodes * SLOTS, 2 * nodes // BLOCK + 1  # a cloth has less than two triangles for each node
+    shapes = {
+        "nodes": ((slots,), wp.vec4i), "sides": ((slots,), wp.float32), "gaps": ((slots,), wp.float32),
+        "weights": ((slots,), wp.vec4), "impulses": ((slots,), wp.vec3), "counts": ((nodes,), wp.int32),
+        "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32), "num_of_node": ((nodes,), wp.int32),
+        "num_active": ((nodes,), wp.int32), "block_spheres": ((blocks,), wp.vec4), "block_motions": ((blocks,), wp.vec4),
+        "cluster_spheres": ((blocks // BLOCK + 1,), wp.vec4),
+    }  # fmt: skip
+    contacts = SelfContacts()
+    for name, (shape, dtype) in shapes.items():
+        setattr(contacts, name, wp.zeros((num_worlds, *shape), dtype=dtype, device=str(device)))
+    return contacts

@@ -1,0 +1,39 @@
+"""A policy behind noise."""
+
+import pytest
+import torch
+from random_graphs import SCHEMA, make_graph
+
+from maniskill_grpd.evaluation import NoisyObserver
+from maniskill_grpd.policies import make_policy
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return make_policy("grpd", SCHEMA)
+
+
+def observer(policy, sigma=0.05):
+    return NoisyObserver(policy, sigma, torch.Generator().manual_seed(0))
+
+
+def test_noise_is_new_at_every_step_and_the_same_in_every_repetition(policy):
+    graph = make_graph()
+    first, second = observer(policy), observer(policy)
+    actions = [first.act(graph, deterministic=True) for _ in range(2)]
+    assert not torch.equal(*actions)
+    torch.testing.assert_close(second.act(graph, deterministic=True), actions[0], rtol=0, atol=0)
+
+
+def test_more_noise_moves_the_action_further(policy):
+    graph = make_graph(batch=50)
+    exact = policy.act(graph, deterministic=True)
+    errors = [(observer(policy, sigma).act(graph, deterministic=True) - exact).norm() for sigma in (0.0, 0.001, 0.1)]
+    assert errors[0] == 0.0
+    assert errors[0] < errors[1] < errors[2]
+
+
+@pytest.mark.parametrize("sigma", [-1.0, float("nan")])
+def test_bad_sigma_is_refused(policy, sigma):
+    with pytest.raises(ValueError, match="sigma must not be negative"):
+        observer(policy, sigma)
