@@ -8,7 +8,7 @@ from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.tasks import ClothFoldingEnv
 
-SLACK = 0.5
+SLACK = 0.65
 """How far the path departs from a circle, on which the cloth is taut, towards a diamond, on which it hangs straight down."""
 
 
@@ -18,7 +18,7 @@ class ClothFoldingExpert(Expert):
     In the plane through gripper v across the crease, with x its distance beyond the crease and z its height above its goal's
     level, the path is
 
-        (x, z) = d_v (1 - s + s / (|cos a| + |sin a|)) (cos a, sin a),   s = 0.5
+        (x, z) = d_v (1 - s + s / (|cos a| + |sin a|)) (cos a, sin a),   s = 0.65
 
     from the angle a = 0, where the gripper starts, at the distance d_v from the crease, to a = pi, its goal. With s = 0 it is a
     circle, on which the cloth stays taut and pulls the resting half along in the second quarter. With s = 1 it is a diamond, on
