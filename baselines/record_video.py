@@ -13,7 +13,7 @@ from run_setup import make_env
 
 from maniskill_grpd.learning import TrainConfig, evaluate_policy
 from maniskill_grpd.policies import Policy
-from maniskill_grpd.tasks.world_pictures import MAX_DRAWN_WORLDS
+from maniskill_grpd.tasks.pictures.world_pictures import MAX_DRAWN_WORLDS
 
 
 def record_video(

@@ -13,8 +13,8 @@ from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.experts.rigid_fit import fit_rotation, shortest_turn
 from maniskill_grpd.tasks import ClothHangingEnv
-from maniskill_grpd.tasks.loop_geometry import loop_centre
-from maniskill_grpd.tasks.node_statistics import mean_over_nodes
+from maniskill_grpd.tasks.geometry.loop_geometry import loop_centre
+from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
 
 LARGEST_TURN = 0.1
 """Largest turn in one step [rad]: as far as a corner of the default cloth can go in one."""

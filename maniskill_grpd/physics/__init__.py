@@ -18,7 +18,8 @@ from maniskill_grpd.physics.outlines import (
     triangle_outline,
 )
 from maniskill_grpd.physics.rope import RopeMaterial, rope
-from maniskill_grpd.physics.solver import STANDARD_GRAVITY, Solver
+from maniskill_grpd.physics.solver import Solver
+from maniskill_grpd.physics.world_state import STANDARD_GRAVITY
 
 __all__ = [
     "STANDARD_GRAVITY",

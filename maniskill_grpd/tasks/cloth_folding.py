@@ -12,9 +12,9 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Model, cloth
 from maniskill_grpd.physics.outlines import signed_area
-from maniskill_grpd.tasks import channels
-from maniskill_grpd.tasks.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
-from maniskill_grpd.tasks.crease import (
+from maniskill_grpd.tasks.deformable_env import DeformableEnv
+from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
+from maniskill_grpd.tasks.geometry.crease import (
     area_beyond,
     corner_directions,
     crease_ends,
@@ -24,11 +24,11 @@ from maniskill_grpd.tasks.crease import (
     side_directions,
     signed_distances,
 )
-from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet
-from maniskill_grpd.tasks.gripper_teams import gripper_teams
-from maniskill_grpd.tasks.node_statistics import mean_over_nodes
-from maniskill_grpd.tasks.resolutions import check_resolutions
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
+from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.options.resolutions import check_resolutions
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet
 
 CLOTH_AREA = 0.0576
 """Area of the cloth [m^2]: a square of 24 cm."""

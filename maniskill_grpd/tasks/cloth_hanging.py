@@ -12,18 +12,18 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, cloth
-from maniskill_grpd.tasks import channels
-from maniskill_grpd.tasks.bar_hanger import BarHanger
-from maniskill_grpd.tasks.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
-from maniskill_grpd.tasks.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
-from maniskill_grpd.tasks.collider_solids import collider_solids
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
-from maniskill_grpd.tasks.drawing import Drawing, Sheet
-from maniskill_grpd.tasks.gripper_teams import gripper_teams
-from maniskill_grpd.tasks.hanger import Hanger, Hanging
-from maniskill_grpd.tasks.peg_hanger import PegHanger
-from maniskill_grpd.tasks.resolutions import check_resolutions
+from maniskill_grpd.tasks.geometry.bar_hanger import BarHanger
+from maniskill_grpd.tasks.geometry.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
+from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
+from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
+from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
+from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.options.resolutions import check_resolutions
+from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet
 
 CLOTH_AREA = 0.16
 """Area of the cloth's outline [m^2]: a square of 40 cm."""

@@ -16,21 +16,21 @@ from mani_skill.utils.structs.types import SimConfig
 
 from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
-from maniskill_grpd.tasks import channels
-from maniskill_grpd.tasks.batched_scene import BatchedScene
-from maniskill_grpd.tasks.compute_device import choose_compute_device
-from maniskill_grpd.tasks.episode_tensors import EpisodeTensors, Kind
-from maniskill_grpd.tasks.graph_observation import GraphObservation
-from maniskill_grpd.tasks.grasp_mode import choose_grasp
-from maniskill_grpd.tasks.gripper_teams import Team, choose_team
-from maniskill_grpd.tasks.material_ranges import MaterialRanges
-from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
-from maniskill_grpd.tasks.painters import choose_painter
-from maniskill_grpd.tasks.render_device import choose_render_device
-from maniskill_grpd.tasks.rigid_motion import move_solver
-from maniskill_grpd.tasks.seeds import expand_seeds
-from maniskill_grpd.tasks.state_layout import StateDict, read_flat, read_rows
-from maniskill_grpd.tasks.world_pictures import WorldPictures
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
+from maniskill_grpd.tasks.options.compute_device import choose_compute_device
+from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
+from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team
+from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
+from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
+from maniskill_grpd.tasks.options.seeds import expand_seeds
+from maniskill_grpd.tasks.pictures.painters import choose_painter
+from maniskill_grpd.tasks.pictures.render_device import choose_render_device
+from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
+from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
+from maniskill_grpd.tasks.worlds.rigid_motion import move_solver
+from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
 
 if TYPE_CHECKING:
     from maniskill_grpd.agents import FloatingGrippers

@@ -10,13 +10,13 @@ import torch
 from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.physics import Model, rope
-from maniskill_grpd.tasks import channels
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing, Tube
-from maniskill_grpd.tasks.goal_shapes import GOAL_SHAPES, goal_curve
-from maniskill_grpd.tasks.gripper_teams import gripper_teams
-from maniskill_grpd.tasks.node_statistics import max_over_nodes, mean_over_nodes
-from maniskill_grpd.tasks.resolutions import check_resolutions
+from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.observation.node_statistics import max_over_nodes, mean_over_nodes
+from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.options.resolutions import check_resolutions
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Tube
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""

@@ -12,16 +12,16 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, rope
-from maniskill_grpd.tasks import channels
-from maniskill_grpd.tasks.collider_solids import collider_solids
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.drawing import Drawing, Tube
-from maniskill_grpd.tasks.gripper_teams import gripper_teams
-from maniskill_grpd.tasks.node_statistics import mean_over_nodes
-from maniskill_grpd.tasks.post_leash import limit_around_post
-from maniskill_grpd.tasks.posts import POST_HEIGHT, POSTS
-from maniskill_grpd.tasks.resolutions import check_resolutions
-from maniskill_grpd.tasks.winding import angles_between, turning_angles, winding_number
+from maniskill_grpd.tasks.geometry.post_leash import limit_around_post
+from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT, POSTS
+from maniskill_grpd.tasks.geometry.winding import angles_between, turning_angles, winding_number
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
+from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
+from maniskill_grpd.tasks.options.resolutions import check_resolutions
+from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Tube
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from mani_skill.trajectory import replay_trajectory
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
-from maniskill_grpd.tasks.compute_device import choose_compute_device
+from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 
 
 def replay(arguments: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ import math
 import torch
 from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.tasks.posts import POST_HEIGHT
+from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT
 
 ALL_SHAPES = ("cylinder", "box", "prism")
 

@@ -15,7 +15,7 @@ from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.tasks import DeformableEnv
-from maniskill_grpd.tasks.render_device import can_draw
+from maniskill_grpd.tasks.pictures.render_device import can_draw
 
 TASKS = sorted(uid for uid, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv))
 OBS_MODES = ("graph", "state", "state_dict", "none", "state+graph", "state_dict+graph")

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import maniskill_grpd  # noqa: F401  (registers)
 from maniskill_grpd.tasks import ClothFoldingEnv
-from maniskill_grpd.tasks.node_statistics import mean_over_nodes
+from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.tasks import CLOTH_SHAPES, ClothHangingEnv
-from maniskill_grpd.tasks.bar_hanger import BarHanger
-from maniskill_grpd.tasks.peg_hanger import PegHanger
+from maniskill_grpd.tasks.geometry.bar_hanger import BarHanger
+from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
 
 
 @pytest.fixture

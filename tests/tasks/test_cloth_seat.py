@@ -5,8 +5,8 @@ import pytest
 
 from maniskill_grpd.physics import circle_outline, cloth, hexagon_outline, rectangle_outline, square_outline, triangle_outline
 from maniskill_grpd.physics.outlines import distance_to
-from maniskill_grpd.tasks.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
-from maniskill_grpd.tasks.cloth_shapes import CLOTH_SHAPES, cloth_outline
+from maniskill_grpd.tasks.geometry.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
+from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES, cloth_outline
 
 INNER_RADII = {  # of outlines of 1 m^2
     "square": 0.5,
@@ -50,7 +50,8 @@ def test_holes_that_do_not_fit_are_refused_with_the_largest_that_does():
 )
 def test_grippers_spread_over_the_corners_in_their_order(outline, num, expected):
     model = cloth(outline, num_nodes=100)
-    np.testing.assert_allclose(model.rest_positions[spread_corners(model, num), :2], expected, atol=0.025)  # half an edge of the mesh
+    corners = model.rest_positions[spread_corners(model, num), :2]
+    np.testing.assert_allclose(corners, expected, atol=0.025)  # half an edge of the mesh
 
 
 def test_four_grippers_hold_a_hexagon_by_a_rectangle():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from maniskill_grpd.physics import cloth
-from maniskill_grpd.tasks.cloth_shapes import CLOTH_SHAPES, check_cloth_shapes, cloth_outline
+from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES, check_cloth_shapes, cloth_outline
 
 CORNERS = {"square": 4, "rectangle": 4, "triangle": 3, "hexagon": 6, "circle": 4, "l_shape": 6}
 

@@ -8,7 +8,7 @@ import torch
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from scipy import stats
 
-from maniskill_grpd.tasks.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
+from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 
 NUM = 20_000
 

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from maniskill_grpd.physics import circle_outline, cloth, rope, square_outline
-from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_among
+from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, neighbors_among
 
 MODEL = rope(np.array([[0.0, 0.0], [1.0, 0.0]]), num_nodes=41)
 HELD = np.array([0, 10, 30, 40])

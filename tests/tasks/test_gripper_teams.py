@@ -4,8 +4,8 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from maniskill_grpd.tasks.grasp_mode import choose_grasp
-from maniskill_grpd.tasks.gripper_teams import choose_team, gripper_teams
+from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
+from maniskill_grpd.tasks.options.gripper_teams import choose_team, gripper_teams
 
 
 def test_teams_are_all_ways_to_share_the_grippers():

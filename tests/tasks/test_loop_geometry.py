@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.tasks.loop_geometry import loop_area, loop_centre, winding_about_axis
+from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre, winding_about_axis
 
 
 def circle(num=12, radius=2.0):

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from maniskill_grpd.tasks.compute_device import choose_compute_device
-from maniskill_grpd.tasks.observation_mode import needs_camera, split_observation_mode
-from maniskill_grpd.tasks.seeds import expand_seeds
+from maniskill_grpd.tasks.options.compute_device import choose_compute_device
+from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
+from maniskill_grpd.tasks.options.seeds import expand_seeds
 
 
 @pytest.mark.parametrize(

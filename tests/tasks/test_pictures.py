@@ -9,10 +9,10 @@ import torch
 import trimesh
 
 from maniskill_grpd.tasks import palette, render_device
-from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet, Solid, Tube
-from maniskill_grpd.tasks.numpy_painter import NumpyPainter
-from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
-from maniskill_grpd.tasks.render_device import choose_render_device
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
+from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
+from maniskill_grpd.tasks.pictures.pinhole_camera import PinholeCamera
+from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maniskill_grpd.tasks.rasterizer import Canvas, scan
+from maniskill_grpd.tasks.pictures.rasterizer import Canvas, scan
 
 RED, GREEN, BLUE = np.eye(3)
 SQUARE = np.array([[[2, 2], [12, 2], [12, 12]], [[2, 2], [12, 12], [2, 12]]], dtype=float)

@@ -9,7 +9,7 @@ import trimesh
 from post_scenes import ALL_SHAPES, arms, normalized, post_base, ring, rotation_of, straight_on
 
 from maniskill_grpd.tasks import RopeWrappingEnv
-from maniskill_grpd.tasks.posts import POST_HEIGHT, POSTS
+from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT, POSTS
 
 ENV_ID = "RopeWrapping-v1"
 VOLUMES = {"cylinder": math.pi * 0.06**2, "box": 0.1**2, "prism": 0.75 * 3**0.5 * 0.08**2}

@@ -5,7 +5,7 @@ import pytest
 import torch
 from mani_skill.utils import common
 
-from maniskill_grpd.tasks.state_layout import read_flat, read_rows
+from maniskill_grpd.tasks.worlds.state_layout import read_flat, read_rows
 
 TEMPLATE = {"solver": {"x": torch.zeros(3, 4), "y": torch.zeros(3, 1)}, "goal": torch.zeros(3, 2)}
 

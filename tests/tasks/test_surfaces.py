@@ -18,9 +18,9 @@ from maniskill_grpd.physics import (
     square_outline,
     triangle_mesh,
 )
-from maniskill_grpd.tasks.collider_solids import collider_solids
-from maniskill_grpd.tasks.drawing import Drawing, Line, Sheet, Solid, Tube
-from maniskill_grpd.tasks.surfaces import (
+from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
+from maniskill_grpd.tasks.pictures.surfaces import (
     boundary_loops,
     dashes,
     ghost_surface,

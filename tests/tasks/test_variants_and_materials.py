@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from maniskill_grpd.tasks.material_ranges import MaterialRanges
-from maniskill_grpd.tasks.node_statistics import max_over_nodes, mean_over_nodes
-from maniskill_grpd.tasks.resolutions import check_resolutions
+from maniskill_grpd.tasks.observation.node_statistics import max_over_nodes, mean_over_nodes
+from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
+from maniskill_grpd.tasks.options.resolutions import check_resolutions
 
 
 def test_worlds_of_different_resolution_are_those_they_are_alone(make_env, draw_actions):

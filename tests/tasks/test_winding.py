@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from maniskill_grpd.tasks.post_leash import limit_around_post, taut_length
-from maniskill_grpd.tasks.winding import angles_between, winding_number
+from maniskill_grpd.tasks.geometry.post_leash import limit_around_post, taut_length
+from maniskill_grpd.tasks.geometry.winding import angles_between, winding_number
 
 
 def arc(turns, num_nodes=40, centre=(0.0, 0.0)):

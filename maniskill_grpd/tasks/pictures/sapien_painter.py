@@ -7,9 +7,8 @@ import sapien
 import trimesh
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.batched_scene import BatchedScene
-from maniskill_grpd.tasks.drawing import Drawing, Sheet, Solid
-from maniskill_grpd.tasks.surfaces import (
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid
+from maniskill_grpd.tasks.pictures.surfaces import (
     Surface,
     ghost_surface,
     gripper_surfaces,
@@ -21,6 +20,7 @@ from maniskill_grpd.tasks.surfaces import (
     table_top,
     turned_over,
 )
+from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 
 ROOM_SIZE = 8.0
 """Side of the bright cube around everything, for pictures that are not observations [m]."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from maniskill_grpd.physics import Model, circle_outline
 from maniskill_grpd.physics.outlines import contains, distance_to
-from maniskill_grpd.tasks.cloth_shapes import cloth_outline
+from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline
 
 HOLE_RADII = (0.03, 0.1)
 """Smallest and largest radius of a hole [m]."""

@@ -14,9 +14,9 @@ from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.batched_scene import BatchedScene
-from maniskill_grpd.tasks.drawing import Drawing
-from maniskill_grpd.tasks.painters import Painter
+from maniskill_grpd.tasks.pictures.drawing import Drawing
+from maniskill_grpd.tasks.pictures.painters import Painter
+from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 
 FRAME_WIDTH = 0.015
 """Width of the frames of solved worlds in heights of a picture."""

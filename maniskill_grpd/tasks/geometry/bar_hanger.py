@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from maniskill_grpd.physics import Solver, capsule
-from maniskill_grpd.tasks.hanger import Hanger, Hanging, distances_to_segment, way_to_go
-from maniskill_grpd.tasks.loop_geometry import loop_area, loop_centre
+from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging, distances_to_segment, way_to_go
+from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre
 
 
 class BarHanger(Hanger):

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Protocol
 import torch
 from mani_skill.sensors.camera import parse_camera_configs, update_camera_configs_from_dict
 
-from maniskill_grpd.tasks.drawing import Drawing
+from maniskill_grpd.tasks.pictures.drawing import Drawing
 
 if TYPE_CHECKING:
-    from maniskill_grpd.tasks.world_pictures import WorldPictures
+    from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 
 
 class Painter(Protocol):
@@ -26,11 +26,11 @@ class Painter(Protocol):
 def choose_painter(env: WorldPictures) -> Painter | None:
     """Return the painter for an environment: SAPIEN where it can draw, else numpy, or None."""
     if env.scene.can_render():
-        from maniskill_grpd.tasks.sapien_painter import SapienPainter
+        from maniskill_grpd.tasks.pictures.sapien_painter import SapienPainter
 
         return SapienPainter(env.scene)
     if env.render_mode == "rgb_array":
-        from maniskill_grpd.tasks.numpy_painter import NumpyPainter
+        from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
 
         configs = parse_camera_configs(env._default_human_render_camera_configs)
         update_camera_configs_from_dict(configs, env._custom_human_render_camera_configs or {})

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from mani_skill import logger
 
-from maniskill_grpd.tasks.observation_mode import needs_camera
+from maniskill_grpd.tasks.options.observation_mode import needs_camera
 
 PROBE_TIMEOUT = 120.0
 """Patience with a driver that hangs [s]; most answer in a second, some take a minute."""

@@ -10,7 +10,7 @@ import torch
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
 from maniskill_grpd.physics import Model, Solver
-from maniskill_grpd.tasks.graph_nodes import choose_graph_nodes, neighbors_among, spacing_among
+from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, neighbors_among, spacing_among
 
 CONTACT_DISTANCE = 1.5
 """Nodes count as touching the table when their centre is closer to it than this many radii."""

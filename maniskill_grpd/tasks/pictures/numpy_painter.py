@@ -8,10 +8,10 @@ from mani_skill.sensors.camera import CameraConfig
 from scipy.ndimage import uniform_filter
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.drawing import Drawing, Sheet, Tube
-from maniskill_grpd.tasks.pinhole_camera import PinholeCamera
-from maniskill_grpd.tasks.rasterizer import Canvas, scan
-from maniskill_grpd.tasks.surfaces import (
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Tube
+from maniskill_grpd.tasks.pictures.pinhole_camera import PinholeCamera
+from maniskill_grpd.tasks.pictures.rasterizer import Canvas, scan
+from maniskill_grpd.tasks.pictures.surfaces import (
     Surface,
     ghost_surface,
     gripper_surfaces,

@@ -9,7 +9,7 @@ import trimesh
 
 from maniskill_grpd.physics import Collider, Solver
 from maniskill_grpd.physics.colliders import ColliderKind
-from maniskill_grpd.tasks.drawing import Solid
+from maniskill_grpd.tasks.pictures.drawing import Solid
 
 SECTIONS = 48
 """Sides of what is round."""

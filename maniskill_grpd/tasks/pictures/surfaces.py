@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from maniskill_grpd.tasks import palette
-from maniskill_grpd.tasks.drawing import Drawing, Sheet, Solid, Tube
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 
 TUBE_SIDES = 12
 CAP_RINGS = 3

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from maniskill_grpd.physics import Solver, capsule, cylinder
-from maniskill_grpd.tasks.direction_draws import directions_in_cap
-from maniskill_grpd.tasks.hanger import Hanger, Hanging, distances_to_segment, way_to_go
-from maniskill_grpd.tasks.loop_geometry import loop_area, loop_centre, winding_about_axis
+from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap
+from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging, distances_to_segment, way_to_go
+from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre, winding_about_axis
 
 
 class PegHanger(Hanger):

@@ -1,0 +1,1 @@
+"""Shapes, obstacles and measures that tasks are made of."""

@@ -1,0 +1,1 @@
+"""The observation graph, built from the state of the solver."""

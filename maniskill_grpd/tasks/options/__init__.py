@@ -1,0 +1,1 @@
+"""The options that all tasks take, and what makes a value valid."""
