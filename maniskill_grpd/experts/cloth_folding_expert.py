@@ -28,9 +28,8 @@ class ClothFoldingExpert(Expert):
     The angle is read from the present state, the mean over the grippers so that they move in step, and the target is the point
     of the path as far ahead as the outermost gripper gets in one step. At pi it stays: the gripper holds the fold.
 
-    Limitations: a resting half that has been dragged away is not brought back. Cells of a coarse mesh do not bend: with two grippers
-    60 % of the folds of a square of 49 nodes succeed, 78 % with 64, 97 % with 81 and all with 100 (100 unseen seeds each); other
-    shapes of about 100 nodes: rectangle 94 %, l_shape 96 %, triangle, hexagon and circle 100 %.
+    Limitations: a resting half that has been dragged away is not brought back. Cells of a coarse mesh hardly bend, so that layers
+    of cloths with clearly fewer nodes than the defaults lie too far apart for some of the folds.
 
     Symmetry: equivariant under rigid motions of the scene with its table.
     """

@@ -33,8 +33,8 @@ from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet
 CLOTH_AREA = 0.0576
 """Area of the cloth [m^2]: a square of 24 cm."""
 DEFAULT_RESOLUTIONS = {1: 144, 2: 100}
-"""Number of nodes by the number of grippers. A corner folds across the rows of a square grid, whose cells do not bend: coarse
-ones stand upright along such a crease and keep the layers apart (docs/decisions.md)."""
+"""Number of nodes by the number of grippers. A corner folds across the rows of a square grid, whose cells hardly bend: coarse
+ones keep the layers apart along such a crease."""
 
 CREASE_NORMAL = Channel("crease_normal", "vector", "", "unit normal of the crease, towards the half that is to move, design")
 IS_MOVING = Channel("is_moving", "scalar", "", "1 where the node belongs to the half that is to move, design")
@@ -157,8 +157,7 @@ class ClothFoldingEnv(DeformableEnv):
         Args:
             num_grippers: 2 (default) or 1.
             resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
-                two grippers and 144 with one. Coarser cloths are too stiff along slanted creases for many of the folds: the
-                expert says how many.
+                two grippers and 144 with one. Much coarser cloths are too stiff along slanted creases for some of the folds.
             shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or, with two grippers, "l_shape"; of several,
                 each episode draws one.
             settings: Options of `DeformableEnv`.
