@@ -8,7 +8,7 @@ from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert
 from maniskill_grpd.tasks import ClothFoldingEnv
 
-SLACK = 0.6
+SLACK = 0.65
 """How far the path departs from a circle, on which the cloth is taut, towards a diamond, on which it hangs straight down."""
 
 
@@ -18,7 +18,7 @@ class ClothFoldingExpert(Expert):
     In the plane through gripper v across the crease, with x its distance beyond the crease and z its height above its goal's
     level, the path is
 
-        (x, z) = d_v (1 - s + s / (|cos a| + |sin a|)) (cos a, sin a),   s = 0.6
+        (x, z) = d_v (1 - s + s / (|cos a| + |sin a|)) (cos a, sin a),   s = 0.65
 
     from the angle a = 0, where the gripper starts, at the distance d_v from the crease, to a = pi, its goal. With s = 0 it is a
     circle, on which the cloth stays taut and pulls the resting half along in the second quarter. With s = 1 it is a diamond, on
@@ -28,12 +28,15 @@ class ClothFoldingExpert(Expert):
     The angle is read from the present state, the mean over the grippers so that they move in step, and the target is the point
     of the path as far ahead as the outermost gripper gets in one step. At pi it stays: the gripper holds the fold.
 
-    Limitations: a resting half that has been dragged away is not brought back. LIMITS
+    Limitations: a resting half that has been dragged away is not brought back. Cells of a coarse mesh hardly bend and keep the
+    layers apart: with two grippers and 49 nodes 72 % of the folds succeed, with 64 nodes 99 % (100 unseen seeds each). At the
+    default resolutions all shapes reach 98 to 100 %.
 
     Symmetry: equivariant under rigid motions of the scene with its table.
     """
 
     task = ClothFoldingEnv
+    env: ClothFoldingEnv
 
     def act(self) -> torch.Tensor:
         """See `Expert.act`."""

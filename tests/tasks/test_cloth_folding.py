@@ -173,7 +173,7 @@ def test_success_is_a_small_mean_distance_of_each_half(make_folding):
 def test_reward_is_one_when_folded_bounded_and_falls_with_distance(make_folding):
     base = make_folding(16).unwrapped
     rewards = []
-    for lift in torch.linspace(0.0, 0.5, 40):
+    for lift in torch.linspace(0.0, 0.2, 40):
         base.solver.positions.copy_(base.goal_positions)
         base.solver.positions[..., 2] += lift
         rewards.append(base.get_reward(None, None, base.get_info()))
@@ -193,7 +193,7 @@ def test_reward_is_the_formula_of_its_constants(make_folding):
     fold = mean_over_nodes(distances, base.is_moving > 0)
     drift = mean_over_nodes(distances, base.is_moving == 0)
     total = fold + 1.5 * drift
-    expected = 0.2 * (1 - torch.tanh(total / 0.2)) + 0.3 * torch.exp(-((total / 0.03) ** 2)) + 0.5 * info["success"]
+    expected = 0.2 * (1 - torch.tanh(total / 0.1)) + 0.3 * torch.exp(-((total / 0.03) ** 2)) + 0.5 * info["success"]
     torch.testing.assert_close(reward, expected)
 
 
@@ -201,7 +201,7 @@ def test_pushing_the_whole_cloth_towards_the_goal_does_not_pay(make_folding):
     base = make_folding(64).unwrapped
     start = base.solver.positions.clone()
     rewards = []
-    for shift in torch.linspace(0.0, 0.3, 31):
+    for shift in torch.linspace(0.0, 0.2, 21):
         base.solver.positions.copy_(start - shift * base.crease_normal[:, None])
         rewards.append(base.get_reward(None, None, base.get_info()))
     assert (torch.stack(rewards).diff(dim=0) < 0).all()
@@ -260,7 +260,7 @@ def test_bad_options_are_refused_with_the_reason(make_folding, options, message)
         make_folding(1, **options)
 
 
-@pytest.mark.parametrize(("num_grippers", "num_nodes"), [(None, 100), (2, 100), (1, 225)])
+@pytest.mark.parametrize(("num_grippers", "num_nodes"), [(None, 100), (2, 100), (1, 144)])
 def test_one_gripper_gets_the_finer_cloth_by_default(make_folding, num_grippers, num_nodes):
     base = make_folding(1, num_grippers=num_grippers).unwrapped
     assert base.solver.num_nodes == num_nodes
