@@ -205,6 +205,7 @@ def make_executor(cluster: str, folder: Path, parameters: Mapping[str, Any]) -> 
 
     Raises:
         RuntimeError: If submitit is not installed.
+        ValueError: If it does not know a parameter.
     """
     try:
         import submitit  # optional
@@ -214,7 +215,10 @@ def make_executor(cluster: str, folder: Path, parameters: Mapping[str, Any]) -> 
     paths = [str(TRAIN.parent), str(TRAIN.parents[1]), os.environ.get("PYTHONPATH", "")]
     os.environ["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
     executor = submitit.AutoExecutor(folder=str(folder), cluster=cluster)
-    executor.update_parameters(**parameters)
+    try:
+        executor.update_parameters(**parameters)
+    except NameError as error:
+        raise ValueError(f"--slurm: {error}") from error
     return executor
 
 

@@ -57,7 +57,9 @@ def train(config: TrainConfig) -> Path:
     device = choose_device(config.sim_backend)
     workers = join_workers(device)
     run_dir = Path(config.resume) if config.resume else RUNS / workers.gather(make_run_name(config))[0]
-    if not config.resume and (run_dir / "config.json").exists():
+    # The first process alone looks, or it might have written the file before the others do.
+    is_taken = workers.gather((run_dir / "config.json").exists())[0]
+    if not config.resume and is_taken:
         raise FileExistsError(
             f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name"
         )

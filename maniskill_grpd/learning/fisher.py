@@ -25,6 +25,7 @@ from maniskill_grpd.learning.update import (
     mean_std,
     summarize,
 )
+from maniskill_grpd.policies import ActionDistribution
 
 _CG_STEPS = 10
 """Conjugate gradient steps; more change the direction little and cost a pass over the samples each."""
@@ -109,7 +110,7 @@ class FisherBPP(Algorithm):
         size = learner.workers.size
         return (learner.workers.sum(value) / size).item(), learner.workers.sum(gradient) / size
 
-    def _objective(self, dist, batch: Batch) -> torch.Tensor:
+    def _objective(self, dist: ActionDistribution, batch: Batch) -> torch.Tensor:
         ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
         return (ratio * batch.advantages).mean() + self.ent_coef * dist.entropy().mean()
 

@@ -64,3 +64,8 @@ def test_without_submitit_the_package_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "submitit", None)
     with pytest.raises(RuntimeError, match="pip install submitit"):
         sweep.make_executor("local", tmp_path, {})
+
+
+def test_unknown_options_of_slurm_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="--slurm: .*colour"):
+        sweep.make_executor("local", tmp_path, {"slurm_colour": "red"})

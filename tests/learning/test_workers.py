@@ -89,13 +89,13 @@ def test_sizes_that_cannot_be_shared_are_refused(tmp_path):
         Trainer(config, ToyPolicy(), ToyEnv(4), None, tmp_path, Workers(0, 2))
 
 
-def half_update(rank, size, port, results):
+def half_update(rank, size, port, path):
     """Take one gradient step, fit scales and normaliser, with a share of one fixed rollout."""
-    os.environ |= {"RANK": str(rank), "WORLD_SIZE": str(size), "MASTER_PORT": str(port)}
-    os.environ["MASTER_ADDR"] = "localhost"
+    address = {"MASTER_ADDR": "localhost", "MASTER_PORT": str(port)}
+    os.environ |= {"RANK": str(rank), "WORLD_SIZE": str(size), **address}
     torch.set_num_threads(1)
     workers = join_workers("cpu")
-    results[rank] = one_step(workers)
+    torch.save(one_step(workers), path)
     leave_workers()
 
 
@@ -121,12 +121,18 @@ def one_step(workers):
     return weights, workers.average_metrics(metrics), scale.state_dict()
 
 
-def test_a_step_of_two_processes_is_that_of_one_with_the_whole_batch():
+def test_a_step_of_two_processes_is_that_of_one_with_the_whole_batch(tmp_path, monkeypatch):
     """Means over halves are means over the whole, also of advantages, returns and channel scales."""
-    with mp.Manager() as manager:
-        results = manager.dict()
-        mp.spawn(half_update, args=(2, 29400 + os.getpid() % 2000, results), nprocs=2)
-        halves = [results[rank] for rank in (0, 1)]
+    port = 29400 + os.getpid() % 2000
+    paths = [tmp_path / f"{rank}.pt" for rank in (0, 1)]
+    other = mp.get_context("spawn").Process(target=half_update, args=(1, 2, port, paths[1]))
+    other.start()
+    with monkeypatch.context() as patch:
+        for name in ("RANK", "WORLD_SIZE", "MASTER_ADDR", "MASTER_PORT"):
+            patch.setenv(name, "")  # what half_update sets is taken back
+        half_update(0, 2, port, paths[0])
+    other.join()
+    halves = [torch.load(path) for path in paths]
     weights, metrics, scale = one_step(Workers())
     for found_weights, found_metrics, found_scale in halves:
         torch.testing.assert_close(found_weights, weights, rtol=1e-4, atol=1e-6)
