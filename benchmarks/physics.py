@@ -1,6 +1,6 @@
 """Measure the solver beside Newton's XPBD and VBD on the same objects at equal stretch, in one run.
 
-taskset -c 0 python benchmarks/physics.py [--quick] [--json FILE] [--markdown FILE] [--device cpu] [--target STRETCH]
+taskset -c 0 python benchmarks/physics.py [--quick] [--scene NAME] [--json FILE] [--markdown FILE] [--device cpu] [--target X]
 
 Every solver moves the same springs, masses, hinges and table through the same motion: two held nodes are dragged at 0.6 m/s in
 directions that change every half second. The largest edge strain that ours reaches with its default substeps is the target, but
@@ -317,6 +317,7 @@ def main() -> None:
     """Parse the command line, search, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="rope and 10x10 cloth, short: for a look rather than for the record")
+    parser.add_argument("--scene", help='"rope 40", "cloth 10x10", "cloth 15x15" or "cloth 35x35" alone')
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--markdown", type=Path, help="file for the table")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
@@ -327,7 +328,10 @@ def main() -> None:
     methods = names if find_spec("newton") else []
     worlds = [1, 64] if arguments.quick else [1, 64, 1024] + ([4096] if arguments.device == "cuda" else [])
     rows = []
-    for scene in scenes(arguments.quick):
+    chosen = [scene for scene in scenes(arguments.quick) if arguments.scene in (None, scene.name)]
+    if not chosen:
+        parser.error(f"there is no scene {arguments.scene!r}")
+    for scene in chosen:
         entries = find_settings(scene, arguments, methods if scene.model.num_nodes <= 100 else methods[:2])
         for num_worlds in worlds:
             measure(entries, num_worlds, arguments)

@@ -89,7 +89,8 @@ def plot(rows: list[dict], path: Path) -> None:
             linear = np.array(row["sizes"]) / row["sizes"][-1] * row["seconds"][-1]
             axis.loglog(row["sizes"], linear, "k:", lw=0.8)
         axis.set(xlabel=kind, ylabel="seconds per control step")
-        axis.legend(fontsize=8)
+        axis.set_ylim(top=20.0 * axis.get_ylim()[1])
+        axis.legend(fontsize=8, loc="upper left")
     figure.suptitle(f"Cost of a control step of {SUBSTEPS} substeps, one thread (dotted: linear)", fontsize=10)
     figure.tight_layout()
     figure.savefig(path, dpi=120)
