@@ -1,12 +1,13 @@
 """Measure the solver beside Newton's XPBD and VBD on the same objects at equal stretch, in one run.
 
-taskset -c 0 python benchmarks/physics.py [--quick] [--json FILE] [--markdown FILE] [--device cpu] [--target STRETCH]
+taskset -c 0 python benchmarks/physics.py [--quick] [--scene NAME] [--json FILE] [--markdown FILE] [--device cpu] [--target X]
 
 Every solver moves the same springs, masses, hinges and table through the same motion: two held nodes are dragged at 0.6 m/s in
 directions that change every half second. The largest edge strain that ours reaches with its default substeps is the target, but
 no less than 1 %; Newton's substeps and iterations are searched for the cheapest setting that stays below it. Then all take turns,
-so that what else the machine does slows all alike; `taskset` pins them to one core. `ratio` is ours over the faster of Newton's
-two. Needs the extra `newton`; without it only ours is measured.
+each on one thread, pinned by `taskset`; on CPU the time of the processor counts, so that other processes do not. `ratio` is ours
+over the faster of Newton's two; "springs only" leaves out bending and table, which ours computes. Needs the extra `newton`;
+without it only ours is measured.
 """
 
 from __future__ import annotations
@@ -22,21 +23,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from machine import describe_machine, measure_peaks, num_cores
+from machine import describe_machine, measure_peaks
 from physics_cost import count_work
 
 from maniskill_grpd.physics import Model, Solver, cloth, rope, square_outline
 from maniskill_grpd.physics.lanes import WIDTH
 
 MAX_STEP = 0.03
-SLOW = 15.0  # a configuration that would take longer than this [s] for one control step is not measured
+SLOW = 5.0  # a configuration that would take longer than this [s] for one control step is not measured
 PATIENCE = 60.0  # longest search for the setting of one solver [s]
 SMALLEST_TARGET = 0.01  # a stretch of 1 % is good enough for everyone
 SUBSTEPS = {
-    "xpbd": (20, 40, 60, 80, 100, 120, 140, 160, 200, 250, 320, 400, 500, 640, 800),
-    "vbd": (2, 5, 10, 20, 40, 80, 160, 320),
+    "xpbd": (10, 15, 20, 30, 40, 50, 60, 80, 100, 120, 140, 160, 200, 250, 320, 400, 500, 640, 800, 1600),
+    "vbd": (2, 3, 5, 7, 10, 15, 20, 30, 40, 60, 80, 120, 160, 240, 320),
 }
-ITERATIONS = {"xpbd": (1, 2, 4, 8, 16, 32, 64), "vbd": (1, 2, 3, 5, 8, 12, 20, 40)}
+ITERATIONS = {"xpbd": (1, 2, 4, 10), "vbd": (1, 3, 5, 10, 20)}
+MOST_SWEEPS = 1600  # substeps times iterations
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,13 @@ class Entry:
 
 def scenes(quick: bool) -> list[Scene]:
     """Return the rope and the cloths."""
-    span = np.linspace(0.0, 1.0, 200)
-    arch = np.stack([0.8 * span - 0.4, 0.0 * span, -0.15 * np.sin(np.pi * span)], axis=1)  # the rope hangs between its ends
-    found = [Scene("rope 40", rope(arch, num_nodes=40), np.array([0, 39]))]
+    found = []
     for side in (10,) if quick else (10, 15, 35):
         model = cloth(square_outline(0.4), num_nodes=side**2)
         found.append(Scene(f"cloth {side}x{side}", model, model.node_sets["corners"][:2]))
+    span = np.linspace(0.0, 1.0, 200)
+    arch = np.stack([0.8 * span - 0.4, 0.0 * span, -0.15 * np.sin(np.pi * span)], axis=1)  # the rope hangs between its ends
+    found.insert(1, Scene("rope 40", rope(arch, num_nodes=40), np.array([0, 39])))
     return found
 
 
@@ -80,8 +83,8 @@ def motion(num_worlds: int, num_steps: int) -> np.ndarray:
 class Ours:
     """This package behind the three calls that the benchmark makes."""
 
-    def __init__(self, scene: Scene, num_worlds: int, substeps: int, device: str, num_threads: int | None = None) -> None:
-        self.solver = Solver(scene.model, num_worlds, 2, substeps=substeps, device=device, num_threads=num_threads)
+    def __init__(self, scene: Scene, num_worlds: int, substeps: int, device: str) -> None:
+        self.solver = Solver(scene.model, num_worlds, 2, substeps=substeps, device=device, num_threads=1)
         self.solver.plane[:, 3] = -10.0
         worlds = torch.arange(num_worlds, device=device)
         start = torch.as_tensor(scene.model.rest_positions, device=device).expand(num_worlds, -1, -1)
@@ -133,11 +136,16 @@ class Newton:
         return self.solver.positions
 
 
+def now(device: str) -> float:
+    """Return a time [s]: of the processor on CPU, where all solvers are sequential, so that other processes do not count."""
+    return time.process_time() if device == "cpu" else time.perf_counter()
+
+
 def make(scene: Scene, num_worlds: int, solver: str, substeps: int, iterations: int, device: str) -> Ours | Newton:
     """Return a solver by its name in the table."""
     if solver.startswith("Newton"):
         return Newton(scene, num_worlds, solver, substeps, iterations, device)
-    return Ours(scene, num_worlds, substeps, device, 1 if "1 thread" in solver else None)
+    return Ours(scene, num_worlds, substeps, device)
 
 
 def largest_stretch(instance: Ours | Newton, model: Model, moves: np.ndarray, give_up: float = np.inf) -> float:
@@ -154,41 +162,47 @@ def largest_stretch(instance: Ours | Newton, model: Model, moves: np.ndarray, gi
 
 
 def search(scene: Scene, solver: str, target: float, moves: np.ndarray, arguments: argparse.Namespace) -> Entry | None:
-    """Return the cheapest setting of a Newton solver that stays below the target; None if there is none among those tried."""
-    device, start = arguments.device, time.perf_counter()
+    """Return the cheapest setting of a Newton solver that stays below the target; None if there is none among those tried.
+
+    For every number of iterations the fewest substeps are found by bisection.
+    """
+    start = now(arguments.device)
     method = solver.split()[1].lower()
-    settings = [(s, i) for s in SUBSTEPS[method] for i in ITERATIONS[method] if s * i <= 3200]
-    settings.sort(key=lambda setting: setting[0] * (setting[1] + 0.7))  # a substep costs about 0.7 iterations besides
     feasible = []
-    for substeps, iterations in settings:
-        if time.perf_counter() - start > (0.5 * PATIENCE if arguments.quick else PATIENCE):
-            break
-        stretch = largest_stretch(make(scene, moves.shape[1], solver, substeps, iterations, device), scene.model, moves, target)
-        if stretch <= target:
-            feasible.append(Entry(scene, solver, substeps, iterations, stretch))
-            if len(feasible) == 2:
-                break
+    for iterations in ITERATIONS[method]:
+        candidates = [substeps for substeps in SUBSTEPS[method] if substeps * iterations <= MOST_SWEEPS]
+        low, high, found = 0, len(candidates) - 1, None
+        while low <= high and now(arguments.device) - start < PATIENCE:
+            middle = (low + high) // 2
+            instance = make(scene, moves.shape[1], solver, candidates[middle], iterations, arguments.device)
+            stretch = largest_stretch(instance, scene.model, moves, target)
+            if stretch <= target:
+                found, high = Entry(scene, solver, candidates[middle], iterations, stretch), middle - 1
+            else:
+                low = middle + 1
+        if found is not None:
+            feasible.append(found)
     if not feasible:
         return None
-    return min(feasible, key=lambda entry: seconds_per_step(entry, 4, device, 2))
+    return min(feasible, key=lambda entry: seconds_per_step(entry, 4, arguments.device, 2))
 
 
 def seconds_per_step(entry: Entry, num_worlds: int, device: str, num_steps: int) -> float:
     """Return the time of a control step after a warm-up."""
     instance = make(entry.scene, num_worlds, entry.solver, entry.substeps, entry.iterations, device)
-    return timed(instance, motion(num_worlds, num_steps + 1), 0.0)
+    return timed(instance, motion(num_worlds, num_steps + 1), 0.0, device)
 
 
-def timed(instance: Ours | Newton, moves: np.ndarray, seconds: float) -> float:
+def timed(instance: Ours | Newton, moves: np.ndarray, seconds: float, device: str) -> float:
     """Return the seconds of one control step, over at least `seconds` and all moves but the first, which warms up."""
     instance.step(moves[0])
     instance.wait()
-    steps, start = 0, time.perf_counter()
-    while steps < len(moves) - 1 or time.perf_counter() - start < seconds:
+    steps, start = 0, now(device)
+    while steps < len(moves) - 1 or now(device) - start < seconds:
         instance.step(moves[1 + steps % (len(moves) - 1)])
         steps += 1
     instance.wait()
-    return (time.perf_counter() - start) / steps
+    return (now(device) - start) / steps
 
 
 def find_settings(scene: Scene, arguments: argparse.Namespace, methods: list[str]) -> list[Entry]:
@@ -206,8 +220,6 @@ def find_settings(scene: Scene, arguments: argparse.Namespace, methods: list[str
         substeps, reached = next(((n, stretch) for n, stretch in runs if stretch <= target), (candidates[-1], np.nan))
     report(f"{scene.name}: ours {substeps} substeps, largest stretch {reached:.4f}")
     entries = [Entry(scene, "ours", substeps, 1, reached)]
-    if arguments.device == "cpu" and num_cores() > 1:
-        entries.append(Entry(scene, "ours (1 thread)", substeps, 1, reached))
     for method in methods:
         entry = search(scene, method, target, moves, arguments)
         if entry is None:
@@ -220,7 +232,7 @@ def find_settings(scene: Scene, arguments: argparse.Namespace, methods: list[str
 
 def measure(entries: list[Entry], num_worlds: int, arguments: argparse.Namespace) -> None:
     """Let all solvers of a scene take turns at one number of worlds."""
-    seconds, repeats = (0.3, 3) if arguments.quick else (0.5, 5)
+    seconds, repeats = (0.1, 3) if arguments.quick else (0.3, 5)
     instances = {}
     for entry in entries:
         if seconds_per_step(entry, 1, arguments.device, 1) * num_worlds < SLOW:
@@ -230,7 +242,7 @@ def measure(entries: list[Entry], num_worlds: int, arguments: argparse.Namespace
     for _ in range(repeats):
         for entry in entries:
             if entry.solver in instances:
-                rate = num_worlds / timed(instances[entry.solver], moves, seconds)
+                rate = num_worlds / timed(instances[entry.solver], moves, seconds, arguments.device)
                 entry.rates.setdefault(num_worlds, []).append(rate)
 
 
@@ -305,6 +317,7 @@ def main() -> None:
     """Parse the command line, search, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="rope and 10x10 cloth, short: for a look rather than for the record")
+    parser.add_argument("--scene", help='"rope 40", "cloth 10x10", "cloth 15x15" or "cloth 35x35" alone')
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--markdown", type=Path, help="file for the table")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
@@ -315,8 +328,11 @@ def main() -> None:
     methods = names if find_spec("newton") else []
     worlds = [1, 64] if arguments.quick else [1, 64, 1024] + ([4096] if arguments.device == "cuda" else [])
     rows = []
-    for scene in scenes(arguments.quick):
-        entries = find_settings(scene, arguments, methods)
+    chosen = [scene for scene in scenes(arguments.quick) if arguments.scene in (None, scene.name)]
+    if not chosen:
+        parser.error(f"there is no scene {arguments.scene!r}")
+    for scene in chosen:
+        entries = find_settings(scene, arguments, methods if scene.model.num_nodes <= 100 else methods[:2])
         for num_worlds in worlds:
             measure(entries, num_worlds, arguments)
         rows += to_rows(entries, arguments)

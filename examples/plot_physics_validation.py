@@ -3,7 +3,7 @@
 python examples/plot_physics_validation.py [--out docs/physics]
 
 Writes `validation.md` (every number), `validation.json` and four plots, and the worst number of each law into `docs/physics.md`.
-Takes about a minute.
+Takes a few minutes.
 """
 
 from __future__ import annotations

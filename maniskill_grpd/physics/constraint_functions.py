@@ -88,11 +88,12 @@ def project_stretch_line(
         x = x_next
         w = w_next
 
-    multiplier = spread(w, 0.0)
+    multiplier = eliminated
     push = spread(x, 0.0)  # lambda_k * direction_k of the edge behind
     for reverse in range(num_edges):
         k = num_edges - 1 - reverse
-        multiplier = groups.multipliers[group, first_scratch + k] + groups.upper[group, first_scratch + k] * multiplier
+        if reverse > 0:
+            multiplier = groups.multipliers[group, first_scratch + k] + groups.upper[group, first_scratch + k] * multiplier
         pull = groups.directions[group, first_scratch + k] * multiplier
         push_node(group, line_nodes[first_node + k + 1], push - pull, groups)
         push = pull

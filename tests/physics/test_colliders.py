@@ -97,7 +97,7 @@ def test_nothing_passes_through_at_any_speed(name, speed):
     """A point is shot at the centre of the collider; 12 m/s is 30 mm per substep, twenty times the speed of a gripper."""
     collider, distance = SHAPES[name]
     generator = np.random.default_rng(0)
-    directions = generator.normal(size=(100, 3))
+    directions = generator.normal(size=(20 if name == "mesh" else 100, 3))  # queries of the mesh are dear
     if name == "plane":
         directions[:, 2] = np.abs(directions[:, 2]) + 0.5
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

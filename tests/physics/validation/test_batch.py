@@ -107,3 +107,19 @@ def test_variants_may_change_in_any_order_and_number():
         for _ in range(2):
             alone.step()
         assert torch.equal(alone.positions[0], batch.positions[world])
+
+
+def test_a_poisoned_world_leaves_nothing_behind_when_it_is_reset():
+    """After a reset it goes on bitwise as a world that was never poisoned, whatever object it holds."""
+    sick, healthy = mixed_solver(6), mixed_solver(6)
+    sick.velocities[:3, 3] = float("nan")
+    sick.inverse_masses[3:, 4] = float("inf")
+    drive(sick, 2)
+    assert sick.frozen.all()
+    sick.inverse_masses.copy_(healthy.inverse_masses)
+    nodes = healthy.gripper_nodes.long()
+    sick.reset(torch.arange(6), healthy.positions.clone(), nodes)
+    drive(sick, 3)
+    drive(healthy, 3)
+    assert not sick.frozen.any()
+    assert torch.equal(sick.positions, healthy.positions)
