@@ -1,6 +1,6 @@
-"""Make the scripts importable, as they are when they are run."""
+"""Make the benchmarks importable, behind the scripts of `baselines`: both have a `train`."""
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
