@@ -41,8 +41,7 @@ def card(uid: str) -> str:
         f"- reward modes: {', '.join(task.SUPPORTED_REWARD_MODES)}",
         f"- max episode steps: {spec.max_episode_steps}",
     ]
-    stem = uid.partition("-")[0]
-    picture = f"![{uid}: the expert](images/{stem}.gif)"
+    picture = f"![{uid}: the expert](images/{uid}.gif)"
     options = inspect.getdoc(task.__init__).partition("Args:")[2].partition("Raises:")[0]
     lines = [" ".join(line.split()) if not line.startswith("    ") else line.strip() for line in options.strip().splitlines()]
     return "\n\n".join([
