@@ -1,6 +1,6 @@
-"""Draw the learning curve of a run from its metrics.jsonl.
+"""Draw the learning curve of a run from its metrics.jsonl, or those of several runs together.
 
-python baselines/plot_learning_curve.py runs/NAME [--metrics return success_at_end mean_distance]
+python baselines/plot_learning_curve.py runs/NAME [runs/OTHER ...] [--metrics return success_at_end mean_distance] [--output FILE]
 """
 
 from __future__ import annotations
@@ -31,40 +31,38 @@ LABELS = {
 def plot_learning_curve(
     run_dir: Path, path: Path | None = None, metrics: Sequence[str] | None = None
 ) -> Path:
-    """Plot metrics of episodes over environment steps, in training and in evaluation.
+    """Plot the curve of one run, see `plot_learning_curves`; by default into learning_curve.png in its folder."""
+    return plot_learning_curves([run_dir], path or run_dir / "learning_curve.png", metrics)
+
+
+def plot_learning_curves(run_dirs: Sequence[Path], path: Path, metrics: Sequence[str] | None = None) -> Path:
+    """Plot metrics of episodes over environment steps, in training (thin) and in evaluation (with dots).
 
     Args:
-        run_dir: Folder of a run.
-        path: The PNG to write; by default learning_curve.png in the folder.
+        run_dirs: Folders of runs, one colour each.
+        path: The PNG to write.
         metrics: One panel each; by default return, success and, if there is one, the distance.
 
     Returns:
         The file that was written.
 
     Raises:
-        ValueError: If the run has logged nothing, or not a metric that is asked for.
+        ValueError: If a run has logged nothing, or not a metric that is asked for.
     """
-    rows = read_rows(run_dir / "metrics.jsonl")
-    if not rows:
-        raise ValueError(f"{run_dir / 'metrics.jsonl'} holds no metrics")
-    panels = _choose_panels(rows, metrics)
-    figure, axes = plt.subplots(
-        1, len(panels), figsize=(4.2 * len(panels), 3.2), constrained_layout=True, squeeze=False
-    )
-    axes = axes[0]
-    for axis, key in zip(axes, panels, strict=True):
-        for kind, style in (
-            ("train", {"lw": 1.0, "alpha": 0.6}),
-            ("eval", {"lw": 2.0, "marker": "o", "ms": 3}),
-        ):
-            steps, values = _series(rows, f"{kind}/{key}")
-            axis.plot(steps, values, label=kind, **style)
+    logs = {run_dir.name: read_rows(run_dir / "metrics.jsonl") for run_dir in run_dirs}
+    for run_dir in run_dirs:
+        if not logs[run_dir.name]:
+            raise ValueError(f"{run_dir / 'metrics.jsonl'} holds no metrics")
+    panels = [_choose_panels(rows, metrics) for rows in logs.values()][0]
+    figure, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.2), constrained_layout=True, squeeze=False)
+    for axis, key in zip(axes[0], panels, strict=True):
+        for index, (name, rows) in enumerate(logs.items()):
+            axis.plot(*_series(rows, f"train/{key}"), color=f"C{index}", lw=1.0, alpha=0.6)
+            axis.plot(*_series(rows, f"eval/{key}"), color=f"C{index}", lw=2.0, marker="o", ms=3, label=name)
         axis.set_xlabel("environment steps")
         axis.set_ylabel(LABELS.get(key, key))
         axis.grid(alpha=0.3)
-    axes[0].legend()
-    figure.suptitle(run_dir.name, fontsize=9)
-    path = path or run_dir / "learning_curve.png"
+    axes[0, 0].legend(fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
     return path
@@ -89,11 +87,13 @@ def _series(rows: list[dict[str, Any]], tag: str) -> tuple[list[int], list[float
 def main(arguments: Sequence[str]) -> int:
     """Draw; report what the user can mend in one line instead of a traceback."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run_dir", type=Path, help="folder of a run")
+    parser.add_argument("run_dirs", type=Path, nargs="+", help="folders of runs")
     parser.add_argument("--metrics", nargs="+", help="metrics of episodes, one panel each")
+    parser.add_argument("--output", type=Path, help="PNG to write; by default learning_curve.png in the first folder")
     options = parser.parse_args(arguments)
     try:
-        print(plot_learning_curve(options.run_dir, metrics=options.metrics))
+        path = options.output or options.run_dirs[0] / "learning_curve.png"
+        print(plot_learning_curves(options.run_dirs, path, options.metrics))
     except (ValueError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
