@@ -310,10 +310,10 @@ class ClothFoldingEnv(DeformableEnv):
         return obs
 
     def _drawing(self, world: int) -> Drawing:
-        model = self.models[int(self.solver.variants[world])]
+        model = self._model_of(world)
         crease = self.crease_ends[world] + 2.0 * model.radius * self.solver.plane[world, :3]
         return Drawing(
-            object=Sheet(self.solver.positions[world, : model.num_nodes].cpu().numpy(), model.faces),
+            object=Sheet(self._nodes_of(world, self.solver.positions), model.faces),
             goal=self._draw_goal(world, model),
             lines=(Line(crease.cpu().numpy()),),
             grippers=self.solver.gripper_positions[world].cpu().numpy(),

@@ -304,9 +304,9 @@ class ClothHangingEnv(DeformableEnv):
     # ------------------------------------------------------------------ pictures
 
     def _drawing(self, world: int) -> Drawing:
-        solver, model = self.solver, self.models[int(self.solver.variants[world])]
+        solver, model = self.solver, self._model_of(world)
         return Drawing(
-            object=Sheet(solver.positions[world, : model.num_nodes].cpu().numpy(), model.faces),
+            object=Sheet(self._nodes_of(world, solver.positions), model.faces),
             solids=collider_solids(solver, world),
             grippers=solver.gripper_positions[world].cpu().numpy(),
             closed=solver.closed[world].cpu().numpy(),

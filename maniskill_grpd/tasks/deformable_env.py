@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import sapien
 import torch
-from mani_skill.agents.multi_agent import MultiAgent
 from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
 from mani_skill.utils import common
 from mani_skill.utils.structs.types import SimConfig
@@ -29,11 +28,10 @@ from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
-from maniskill_grpd.tasks.worlds.rigid_motion import move_solver
-from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
+from maniskill_grpd.tasks.worlds.restorable_worlds import RestorableWorlds
 
 if TYPE_CHECKING:
-    from maniskill_grpd.agents import FloatingGrippers
+    pass
 
 POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
@@ -43,7 +41,7 @@ OUT_OF_REACH = 100.0
 """How far below the origin the table of a task without one is [m]."""
 
 
-class DeformableEnv(WorldPictures):
+class DeformableEnv(RestorableWorlds, WorldPictures):
     """A batch of worlds in which floating grippers manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
@@ -105,14 +103,6 @@ class DeformableEnv(WorldPictures):
     )
     GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
 
-    agent: FloatingGrippers | MultiAgent
-    scene: BatchedScene
-    models: tuple[Model, ...]
-    """The variants of the object, among which each episode draws one."""
-    solver: Solver
-    """State of all worlds."""
-    start_nodes: torch.Tensor
-    """Node that each gripper held at the start of the episode, (B, A) int64."""
     graph_schema: GraphSchema
     """What `obs["graph"]` holds."""
 
@@ -271,11 +261,6 @@ class DeformableEnv(WorldPictures):
         for agent in self._agents:
             agent.robot.set_floor(self.solver.plane, self.solver.model.radius)
 
-    @property
-    def _agents(self) -> list[FloatingGrippers]:
-        """The agents, in the order of their grippers."""
-        return list(self.agent.agents) if isinstance(self.agent, MultiAgent) else [self.agent]
-
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self._allocate_episode()
@@ -356,16 +341,6 @@ class DeformableEnv(WorldPictures):
         draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
         return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
 
-    # ------------------------------------------------------------------ pictures
-
-    def _model_of(self, world: int) -> Model:
-        """Return the variant that a world holds."""
-        return self.models[int(self.solver.variants[world])]
-
-    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
-        """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
-        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
-
     # ------------------------------------------------------------------ one control step
 
     def _before_simulation_step(self) -> None:
@@ -417,65 +392,6 @@ class DeformableEnv(WorldPictures):
     ) -> torch.Tensor:
         """Return the dense reward, which is in [0, 1] in all tasks."""
         return self.compute_dense_reward(obs=obs, action=action, info=info)
-
-    # ------------------------------------------------------------------ state
-
-    def get_state_dict(self) -> StateDict:
-        """Return everything that the future depends on, as copies; leaves (B, D)."""
-        state = super().get_state_dict()
-        state["solver"] = self.solver.state()
-        state["episode"] = {"start_nodes": self.start_nodes.float(), **self._episode.state()}
-        return state
-
-    def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:
-        """Restore what `get_state_dict` returned.
-
-        Args:
-            state: Leaves are numpy or torch, one row per world; or (D,) for a single world.
-            env_idx: Worlds to restore, in the order of the rows; all by default.
-
-        Raises:
-            ValueError: If the state does not fit.
-        """
-        worlds = self._world_indices(env_idx)
-        self._write_state(read_rows(state, self.get_state_dict(), len(worlds)), worlds)
-
-    def set_state(self, state: Any, env_idx: Any = None) -> None:
-        """Restore what `get_state` returned: rows (b, D), or (D,) for a single world."""
-        worlds = self._world_indices(env_idx)
-        self._write_state(read_flat(state, self.get_state_dict(), len(worlds)), worlds)
-
-    def _world_indices(self, env_idx: Any) -> torch.Tensor:
-        if env_idx is None:
-            return torch.arange(self.num_envs, device=self.device)
-        worlds = torch.atleast_1d(torch.as_tensor(env_idx, device=self.device))
-        return worlds.nonzero()[:, 0] if worlds.dtype == torch.bool else worlds.long()
-
-    def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
-        self.solver.set_state(state["solver"], worlds)
-        self.scene.grip_commands[worlds] = self.solver.closed[worlds]
-        for agent in self._agents:
-            agent.robot.set_state(state["articulations"][agent.robot.name], worlds)
-        self.start_nodes[worlds] = state["episode"]["start_nodes"].long()
-        self._episode.set_state(state["episode"], worlds)
-
-    def move_worlds(self, rotation: torch.Tensor, translation: torch.Tensor) -> None:
-        """Move all worlds rigidly until their next reset, x -> R x + t: the same episodes, seen from elsewhere.
-
-        Object, grippers, table, obstacles, gravity and what belongs to the episode move together.
-        Actions that are rotated likewise then bring the rotated trajectory, and equal rewards.
-
-        Args:
-            rotation: Rotation matrices, (3, 3) or (B, 3, 3).
-            translation: (3,) or (B, 3) [m].
-        """
-        rotation = rotation.to(self.solver.positions).expand(self.num_envs, 3, 3)
-        translation = translation.to(rotation).expand(self.num_envs, 3)
-        move_solver(self.solver, rotation, translation)
-        self._episode.move(rotation, translation)
-        for agent in self._agents:
-            velocities = agent.robot.qvel.unflatten(1, (-1, 3))
-            agent.robot.qvel.copy_((velocities @ rotation.mT).flatten(1))
 
 
 def _check_choice(name: str, value: str | None, allowed: tuple[str | None, ...]) -> None:

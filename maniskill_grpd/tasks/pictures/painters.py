@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
-import torch
 from mani_skill.sensors.camera import parse_camera_configs, update_camera_configs_from_dict
 
-from maniskill_grpd.tasks.pictures.drawing import Drawing
+from maniskill_grpd.tasks.pictures.painter import Painter
 
 if TYPE_CHECKING:
     from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
-
-
-class Painter(Protocol):
-    """Shows one world at a time."""
-
-    def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
-        """Set up the scene that is pictured next; observations do not show the goal."""
-
-    def picture(self) -> torch.Tensor:
-        """Return an image of what was shown last, (1, H, W, 3) uint8."""
 
 
 def choose_painter(env: WorldPictures) -> Painter | None:

@@ -13,9 +13,10 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
+from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks.pictures import palette
 from maniskill_grpd.tasks.pictures.drawing import Drawing
-from maniskill_grpd.tasks.pictures.painters import Painter
+from maniskill_grpd.tasks.pictures.painter import Painter
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 
 FRAME_WIDTH = 0.015
@@ -41,6 +42,9 @@ class WorldPictures(BaseEnv):
     """Their vertical field of view [rad]."""
 
     scene: BatchedScene
+    solver: Solver
+    models: tuple[Model, ...]
+    """The variants of the object, among which each episode draws one."""
     _painter: Painter
     _drawn_worlds: range
     """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
@@ -48,6 +52,14 @@ class WorldPictures(BaseEnv):
     @abstractmethod
     def _drawing(self, world: int) -> Drawing:
         """Return what there is to see in a world."""
+
+    def _model_of(self, world: int) -> Model:
+        """Return the variant that a world holds."""
+        return self.models[int(self.solver.variants[world])]
+
+    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
+        """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
+        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:

@@ -1,0 +1,94 @@
+"""Worlds whose whole state can be read, restored and moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from mani_skill.agents.multi_agent import MultiAgent
+from mani_skill.envs.sapien_env import BaseEnv
+
+from maniskill_grpd.agents import FloatingGrippers
+from maniskill_grpd.physics import Solver
+from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors
+from maniskill_grpd.tasks.worlds.rigid_motion import move_solver
+from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
+
+
+class RestorableWorlds(BaseEnv):
+    """The part of an environment that knows everything on which the future of its worlds depends.
+
+    ManiSkill's own methods forget custom groups of a flat state and the targets of controllers.
+    """
+
+    agent: FloatingGrippers | MultiAgent
+    scene: BatchedScene
+    solver: Solver
+    """State of all worlds."""
+    start_nodes: torch.Tensor
+    """Node that each gripper held at the start of the episode, (B, A) int64."""
+    _episode: EpisodeTensors
+
+    @property
+    def _agents(self) -> list[FloatingGrippers]:
+        """The agents, in the order of their grippers."""
+        return list(self.agent.agents) if isinstance(self.agent, MultiAgent) else [self.agent]
+
+    def get_state_dict(self) -> StateDict:
+        """Return everything that the future depends on, as copies; leaves (B, D)."""
+        state = super().get_state_dict()
+        state["solver"] = self.solver.state()
+        state["episode"] = {"start_nodes": self.start_nodes.float(), **self._episode.state()}
+        return state
+
+    def set_state_dict(self, state: Mapping[str, Any], env_idx: Any = None) -> None:
+        """Restore what `get_state_dict` returned.
+
+        Args:
+            state: Leaves are numpy or torch, one row per world; or (D,) for a single world.
+            env_idx: Worlds to restore, in the order of the rows; all by default.
+
+        Raises:
+            ValueError: If the state does not fit.
+        """
+        worlds = self._world_indices(env_idx)
+        self._write_state(read_rows(state, self.get_state_dict(), len(worlds)), worlds)
+
+    def set_state(self, state: Any, env_idx: Any = None) -> None:
+        """Restore what `get_state` returned: rows (b, D), or (D,) for a single world."""
+        worlds = self._world_indices(env_idx)
+        self._write_state(read_flat(state, self.get_state_dict(), len(worlds)), worlds)
+
+    def _world_indices(self, env_idx: Any) -> torch.Tensor:
+        if env_idx is None:
+            return torch.arange(self.num_envs, device=self.device)
+        worlds = torch.atleast_1d(torch.as_tensor(env_idx, device=self.device))
+        return worlds.nonzero()[:, 0] if worlds.dtype == torch.bool else worlds.long()
+
+    def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
+        self.solver.set_state(state["solver"], worlds)
+        self.scene.grip_commands[worlds] = self.solver.closed[worlds]
+        for agent in self._agents:
+            agent.robot.set_state(state["articulations"][agent.robot.name], worlds)
+        self.start_nodes[worlds] = state["episode"]["start_nodes"].long()
+        self._episode.set_state(state["episode"], worlds)
+
+    def move_worlds(self, rotation: torch.Tensor, translation: torch.Tensor) -> None:
+        """Move all worlds rigidly until their next reset, x -> R x + t: the same episodes, seen from elsewhere.
+
+        Object, grippers, table, obstacles, gravity and what belongs to the episode move together.
+        Actions that are rotated likewise then bring the rotated trajectory, and equal rewards.
+
+        Args:
+            rotation: Rotation matrices, (3, 3) or (B, 3, 3).
+            translation: (3,) or (B, 3) [m].
+        """
+        rotation = rotation.to(self.solver.positions).expand(self.num_envs, 3, 3)
+        translation = translation.to(rotation).expand(self.num_envs, 3)
+        move_solver(self.solver, rotation, translation)
+        self._episode.move(rotation, translation)
+        for agent in self._agents:
+            velocities = agent.robot.qvel.unflatten(1, (-1, 3))
+            agent.robot.qvel.copy_((velocities @ rotation.mT).flatten(1))
