@@ -1,0 +1,101 @@
+"""Record demonstrations of a task's expert in ManiSkill's format.
+
+python baselines/record_demonstrations.py --env_id ClothFolding-v1 --num_episodes 100
+
+writes demos/ClothFolding-v1/trajectory.h5 and .json: graph observations, actions, rewards and the whole state of every step.
+`python -m maniskill_grpd.trajectory.replay --traj-path FILE --use-env-states -o state --save-traj` turns them into another
+observation mode, `baselines/bc.py --demonstrations FILE` clones them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium as gym
+import tyro
+from mani_skill.utils import gym_utils
+from mani_skill.utils.wrappers import RecordEpisode
+from tqdm import tqdm
+
+from maniskill_grpd.experts import make_expert
+from maniskill_grpd.learning.config import parse_options
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordConfig:
+    """Options of a recording."""
+
+    env_id: str = "RopeShaping-v1"
+    """id of the task"""
+    env_kwargs: tuple[str, ...] = ()
+    """options of the task as key=value pairs, values in JSON"""
+    num_episodes: int = 100
+    """number of episodes, each with its own seed; those that fail are left out of the file"""
+    num_envs: int = 20
+    """number of environments that run in parallel"""
+    seed: int = 0
+    """seed of the first episode; evaluations use seeds from 500,000 up"""
+    output: Path | None = None
+    """folder to write to, by default demos/{env_id}"""
+    keep_failures: bool = False
+    """also keep episodes that do not end in success"""
+    sim_backend: str = "auto"
+    """where the simulation runs: auto (cuda if there is a GPU), cpu or cuda"""
+
+    def __post_init__(self) -> None:
+        for name in ("num_episodes", "num_envs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+def record(config: RecordConfig) -> Path:
+    """Record as configured.
+
+    Returns:
+        The file of the trajectories.
+
+    Raises:
+        FileExistsError: If there is one already.
+    """
+    folder = config.output or Path("demos") / config.env_id
+    path = folder / "trajectory.h5"
+    if path.exists():
+        raise FileExistsError(f"{path} exists; choose another --output")
+    num_envs = min(config.num_envs, config.num_episodes)
+    options = {"obs_mode": "graph", **parse_options("env_kwargs", config.env_kwargs)}
+    env = gym.make(config.env_id, num_envs=num_envs, sim_backend=config.sim_backend, **options)
+    num_steps = gym_utils.find_max_episode_steps_value(env)
+    expert = make_expert(config.env_id, env)
+    recorder = RecordEpisode(
+        env, str(folder), trajectory_name="trajectory", save_video=False, save_on_reset=False,
+        source_type="scripted", source_desc=f"the expert of {config.env_id}",
+    )  # fmt: skip
+    kept = 0
+    for first in tqdm(range(0, config.num_episodes, num_envs), desc="demonstrations", unit="batch"):
+        recorder.reset(seed=list(range(config.seed + first, config.seed + first + num_envs)))
+        for _ in range(num_steps):
+            info = recorder.step(expert.act())[4]
+        wanted = info["success"] | config.keep_failures
+        wanted[config.num_episodes - first :] = False
+        recorder.flush_trajectory(env_idxs_to_flush=wanted.nonzero()[:, 0].cpu().numpy())
+        kept += int(wanted.sum())
+    recorder.close()
+    print(f"{path}: {kept} of {config.num_episodes} episodes")
+    return path
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Record; report what the user can mend in one line instead of a traceback."""
+    try:
+        record(tyro.cli(RecordConfig, args=list(arguments), description=__doc__))
+    except (ValueError, OSError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
