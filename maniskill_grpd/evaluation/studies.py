@@ -13,9 +13,9 @@ ROPE_SHAPING = Task(env_id="RopeShaping-v1", options={"resolution": 41, "graph_n
 ROPE_WRAPPING = Task(env_id="RopeWrapping-v1", options={"resolution": 41, "graph_nodes": 21})
 CLOTH_FOLDING = Task(
     env_id="ClothFolding-v1",
-    options={"resolution": 100, "graph_nodes": 49, "shapes": ["square", "triangle", "rectangle"]},
+    options={"resolution": 64, "graph_nodes": 25, "shapes": ["square", "triangle", "rectangle"]},
 )
-CLOTH_HANGING = Task(env_id="ClothHanging-v1", options={"resolution": 100, "graph_nodes": 36})
+CLOTH_HANGING = Task(env_id="ClothHanging-v1", options={"resolution": 64, "graph_nodes": 25})
 ALL_TASKS = (ROPE_SHAPING, ROPE_WRAPPING, CLOTH_FOLDING, CLOTH_HANGING)
 
 GRPD = Arm(name="grpd")
@@ -258,7 +258,9 @@ POSE_RANGE = Study(
 # ---------------------------------------------------------------------------------------------------------------------- cost
 
 _SIZES = {
-    num: Task(env_id=env_id, options={"resolution": num}, conditions=(), label=f"{env_id}, {num:,} nodes")
+    num: Task(
+        env_id=env_id, options={"resolution": num, "graph_nodes": None}, conditions=(), label=f"{env_id}, {num:,} nodes"
+    )
     for env_id, nums in (("RopeShaping-v1", (25, 50, 100, 200)), ("ClothHanging-v1", (400, 1225)))
     for num in nums
 }

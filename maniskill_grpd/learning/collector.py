@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from maniskill_grpd.learning.action_noise import ActionNoise
 from maniskill_grpd.learning.finite import check_finite, check_graph_finite
 from maniskill_grpd.learning.rollout import Graph, Rollout
 from maniskill_grpd.learning.update import autocast_policy
@@ -30,6 +31,7 @@ class Collector:
         amp: Whether the policy computes in bfloat16, as in the updates.
 
     Attributes:
+        noise: The action noise.
         env_seconds: Time the environments took in the last rollout [s].
     """
 
@@ -45,6 +47,7 @@ class Collector:
         self._disturb = disturb or (lambda graph, generator: graph)
         self._workers = workers or Workers()
         self._amp = amp
+        self.noise = ActionNoise()
         self.num_steps = num_steps
         self.env_seconds = 0.0
         self.rollout: Rollout | None = None
@@ -58,6 +61,7 @@ class Collector:
         """
         obs, _ = self.envs.reset(seed=seeds)
         self._graph = obs["graph"]
+        self.noise.restart()
         check_graph_finite(self._graph, "after a reset")
 
     @torch.no_grad()
@@ -89,7 +93,8 @@ class Collector:
         for step in range(self.num_steps):
             place = f"{where}, step {step}"
             dist, output = autocast_policy(policy, graph, self._amp)
-            action = dist.sample(generator=generator)
+            noise = self.noise.draw(dist.mean, generator)
+            action = dist.sample(generator, noise)
             log_prob = dist.log_prob(action)
             _check_decision(graph, log_prob, output, place)
             rollout = self._storage(graph, dist)

@@ -121,6 +121,10 @@ class TrainConfig:
     """passes over each rollout"""
     norm_adv: bool = True
     """normalise advantages within each minibatch"""
+    noise_correlation: float = 0.0
+    """correlation of the action noise between consecutive steps, in [0, 1): what explores further at the same deviation"""
+    noise_schedule: str = "constant"
+    """way of that correlation to zero: constant (stays), linear or cosine"""
     ent_coef: float = 0.0
     """weight of the entropy bonus"""
     ent_schedule: str = "constant"
@@ -193,6 +197,7 @@ class TrainConfig:
             learning_rate=scheduled(lr_schedule, self.learning_rate, 0.0, progress),
             ent_coef=scheduled(self.ent_schedule, self.ent_coef, 0.0, progress),
             entropy_floor=floor,
+            noise_correlation=scheduled(self.noise_schedule, self.noise_correlation, 0.0, progress),
         )
 
     @property
@@ -229,6 +234,7 @@ class TrainConfig:
             "trust_region": TRUST_REGIONS,
             "lr_schedule": SCHEDULES,
             "ent_schedule": SCHEDULES,
+            "noise_schedule": SCHEDULES,
             "best_metric": BEST_METRICS,
         }
         for name, allowed in choices.items():
@@ -252,6 +258,9 @@ class TrainConfig:
             ),
             "--ent_schedule changes --ent_coef, which is 0; set it too": (
                 self.ent_schedule != "constant" and not self.ent_coef
+            ),
+            "--noise_schedule changes --noise_correlation, which is 0; set it too": (
+                self.noise_schedule != "constant" and not self.noise_correlation
             ),
             "--entropy_floor works with --algorithm bpp --trust_region projection only": (
                 self.entropy_floor is not None and not is_projection
@@ -289,6 +298,8 @@ class TrainConfig:
         for name in not_negative.split():
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not 0.0 <= self.noise_correlation < 1.0:
+            raise ValueError(f"noise_correlation must lie in [0, 1), got {self.noise_correlation}")
         for name in ("gamma", "gae_lambda"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
@@ -319,6 +330,7 @@ class Coefficients:
     learning_rate: float
     ent_coef: float
     entropy_floor: float | None
+    noise_correlation: float
 
 
 def parse_options(name: str, pairs: tuple[str, ...]) -> dict[str, Any]:

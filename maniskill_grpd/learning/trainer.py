@@ -203,6 +203,8 @@ class Trainer:
 
     def _collect(self, where: str) -> tuple[Rollout, dict[str, float]]:
         generator = self.state.generators["action"]
+        now = self.config.coefficients(self.state.iteration)
+        self._collector.noise.correlation = now.noise_correlation
         return self._collector.collect(self.policy, self.state.value_scale, generator, where)
 
     def _estimate_advantages(self, rollout: Rollout) -> None:
@@ -245,6 +247,7 @@ class Trainer:
             **rollout_metrics(rollout, self.workers),
             "charts/learning_rate": now.learning_rate,
             "charts/ent_coef": now.ent_coef,
+            "charts/noise_correlation": now.noise_correlation,
             "charts/SPS": self._steps_this_session / elapsed,
             **{f"time/{name}_time": seconds for name, seconds in self.times.items()},
             "time/rollout_fps": batch_size / self.times["rollout"],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,19 +54,24 @@ class Learner:
         return autocast_policy(self._forward, graph, self.config.amp)
 
     def minibatches(self, rollout: Rollout) -> Iterator[Batch]:
-        """Yield the minibatches of one epoch, in random order."""
+        """Yield the minibatches of one epoch, in random order, advantages normalised if so configured."""
         size = self.workers.share("num_envs * num_steps", self.config.batch_size)
         order = torch.randperm(size, generator=self.generator).to(rollout.rewards.device)
-        for index in order.split(size // self.config.num_minibatches):
-            yield self.normalize_advantages(rollout.select(index))
+        indices = order.split(size // self.config.num_minibatches)
+        # All minibatches at once: every exchange between processes lets the fast wait for the slow.
+        advantages = self._normalized([rollout.advantages.flatten()[index] for index in indices])
+        for index, normalized in zip(indices, advantages, strict=True):
+            yield dataclasses.replace(rollout.select(index), advantages=normalized)
 
     def normalize_advantages(self, batch: Batch) -> Batch:
-        """Bring the advantages of a batch to mean 0 and deviation 1, in place, if so configured."""
-        if self.config.norm_adv:
-            mean, std = _moments(batch.advantages, self.workers)
-            # The tensor was gathered for this batch alone, so it may be changed in place.
-            batch.advantages.sub_(mean).div_(std + 1e-8)
-        return batch
+        """Bring the advantages of a batch to mean 0 and deviation 1, if so configured."""
+        return dataclasses.replace(batch, advantages=self._normalized([batch.advantages])[0])
+
+    def _normalized(self, advantages: list[torch.Tensor]) -> list[torch.Tensor]:
+        if not self.config.norm_adv:
+            return advantages
+        moments = _moments(advantages, self.workers)
+        return [(a - mean) / (std + 1e-8) for a, (mean, std) in zip(advantages, moments, strict=True)]
 
     def chunks(self, batch: Batch) -> list[Batch]:
         """Split a batch into parts whose activations stay small."""
@@ -240,13 +246,19 @@ def mean_std(dist: ActionDistribution) -> torch.Tensor:
     return dist.std.detach()[dist.mask].mean()
 
 
-def _moments(values: torch.Tensor, workers: Workers) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return mean and (unbiased) standard deviation over the processes."""
+def _moments(
+    batches: list[torch.Tensor], workers: Workers
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Return mean and (unbiased) standard deviation of each batch over the processes."""
     if workers.size == 1:
-        return values.mean(), values.std()
-    count = values.numel() * workers.size
-    mean = workers.sum(values.sum()) / count
-    return mean, (workers.sum((values - mean).square().sum()) / (count - 1)).sqrt()
+        return [(values.mean(), values.std()) for values in batches]
+    # In float64 the difference of the two sums keeps more digits than float32 has.
+    values = torch.stack(batches).double()
+    count = values.shape[1] * workers.size
+    totals = workers.sum(torch.stack([values.sum(dim=1), values.square().sum(dim=1)]))
+    mean = totals[0] / count
+    std = ((totals[1] - count * mean.square()) / (count - 1)).clamp(min=0.0).sqrt()
+    return list(zip(mean.float(), std.float(), strict=True))
 
 
 def _mean_kl(learner: Learner, metrics: Metrics) -> float:

@@ -42,15 +42,23 @@ class ActionDistribution:
             action = torch.cat([action, closed[..., None]], dim=-1)
         return action.masked_fill(~self.mask[..., None], 0.0).flatten(1)
 
-    def sample(self, generator: torch.Generator | None = None) -> torch.Tensor:
-        """Draw one action per graph, (B, A * E), without gradient."""
+    def sample(
+        self, generator: torch.Generator | None = None, noise: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Draw one action per graph, (B, A * E), without gradient.
+
+        Args:
+            generator: Source of what is drawn.
+            noise: Standard normal noise (B, A, 3) of the Gaussians; by default it is drawn.
+        """
         with torch.no_grad():
-            noise = torch.randn(
-                self.mean.shape,
-                generator=generator,
-                device=self.mean.device,
-                dtype=self.mean.dtype,
-            )
+            if noise is None:
+                noise = torch.randn(
+                    self.mean.shape,
+                    generator=generator,
+                    device=self.mean.device,
+                    dtype=self.mean.dtype,
+                )
             action = self.mean + self.std * noise
             if self.gripper_logits is not None:
                 probability = torch.sigmoid(self.gripper_logits)

@@ -248,7 +248,7 @@ def test_a_condition_that_the_task_refuses_does_not_stop_the_others(folder, caps
     ("study", "message"),
     [
         ("pose_range", "no task like that of the checkpoint, RopeShaping-v1; it has: ClothHanging-v1 "),
-        ("cost", "RopeShaping-v1; it has: RopeShaping-v1 resolution=25; RopeShaping-v1 resolution=50"),
+        ("cost", "RopeShaping-v1; it has: RopeShaping-v1 resolution=25 graph_nodes=null; RopeShaping-v1 resolution=50 "),
     ],
 )
 def test_a_checkpoint_of_another_task_is_refused_with_the_tasks_there_are(folder, capsys, study, message):

@@ -44,7 +44,7 @@ def test_is_registered():
 
 
 def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
-    env = make_env(obs_mode="graph")
+    env = make_env(obs_mode="graph", graph_nodes=None)
     base = env.unwrapped
     obs = run(env, draw_actions(5, 3))[-1]["obs"]
     graph, solver = obs["graph"], base.solver
@@ -76,7 +76,7 @@ def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
 
 
 def test_graph_nodes_thins_what_the_policy_sees_but_not_the_simulation(make_env, draw_actions):
-    full, thin = make_env(resolution=60), make_env(resolution=60, graph_nodes=12)
+    full, thin = make_env(resolution=60, graph_nodes=None), make_env(resolution=60, graph_nodes=12)
     for env in (full, thin):
         env.reset(seed=3)
     actions = draw_actions(4, 3)

@@ -76,7 +76,7 @@ def test_several_agents_do_what_one_does(make_env, draw_actions):
 
 
 def test_free_grippers_open_and_catch_again(make_env):
-    env = make_env(2, grasp="free", num_grippers=2)
+    env = make_env(2, grasp="free", num_grippers=2, graph_nodes=None)
     base = env.unwrapped
     assert env.action_space.shape == (2, 8)
     grip = torch.zeros(2, 2, 4)

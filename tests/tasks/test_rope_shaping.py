@@ -243,3 +243,12 @@ def test_task_card_has_the_headings_that_the_documentation_generator_expects():
     assert places == sorted(places)
     assert f"at most {RopeShapingEnv.MEAN_DISTANCE_LIMIT} m" in RopeShapingEnv.__doc__
     assert f"at most {RopeShapingEnv.MAX_DISTANCE_LIMIT} m" in RopeShapingEnv.__doc__
+
+
+def test_policies_see_21_nodes_unless_asked_otherwise_and_shorter_ropes_whole(make_env):
+    for options, seen in (({}, 21), ({"graph_nodes": None}, 41), ({"graph_nodes": 30}, 30), ({"resolution": 20}, 20)):
+        env = make_env(1, obs_mode="graph", **options)
+        graph = env.unwrapped.get_obs()["graph"]
+        assert graph["object"]["position"].shape[1] == seen
+    with pytest.raises(ValueError, match="graph_nodes must be in"):
+        make_env(1, resolution=25, graph_nodes=30)

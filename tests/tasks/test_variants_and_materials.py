@@ -9,7 +9,7 @@ from maniskill_grpd.tasks.options.resolutions import check_resolutions
 
 
 def test_worlds_of_different_resolution_are_those_they_are_alone(make_env, draw_actions):
-    mixed = make_env(6, resolution=[21, 41], shapes=("W", "V"))
+    mixed = make_env(6, resolution=[21, 41], shapes=("W", "V"), graph_nodes=None)
     base = mixed.unwrapped
     assert base.solver.variants.unique().tolist() == [0, 1]
     small = int((base.solver.variants == 0).nonzero()[0, 0])

@@ -28,7 +28,7 @@ def put_at_goal(base, worlds):
 
 
 def test_vector_env_resets_at_the_time_limit_and_reports_metrics(make_env, draw_actions):
-    env = ManiSkillVectorEnv(make_env(max_episode_steps=5), record_metrics=True)
+    env = ManiSkillVectorEnv(make_env(max_episode_steps=5, graph_nodes=None), record_metrics=True)
     env.reset(seed=0)
     rewards = []
     for action in draw_actions(5, 3):
