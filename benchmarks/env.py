@@ -68,8 +68,8 @@ def make_peer() -> tuple[str, ManiSkillVectorEnv]:
 
 
 def make_ours(num_worlds: int) -> ManiSkillVectorEnv:
-    """Make RopeShaping-v1 as a training script does."""
-    env = gym.make("RopeShaping-v1", num_envs=num_worlds, obs_mode="graph", sim_backend="cpu")
+    """Make RopeShaping-v1 as a training script does, with all 41 nodes in the graph."""
+    env = gym.make("RopeShaping-v1", num_envs=num_worlds, obs_mode="graph", sim_backend="cpu", graph_nodes=None)
     return ManiSkillVectorEnv(env, num_worlds, ignore_terminations=True, record_metrics=True)
 
 
