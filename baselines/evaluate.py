@@ -17,6 +17,7 @@ from pathlib import Path
 
 import torch
 import tyro
+from checkpoint_card import write_card
 from record_video import record_video
 from run_setup import check_schema, describe_episodes, load_policy, make_env
 
@@ -53,6 +54,8 @@ class EvalConfig:
     """also write a video of the first four episodes, side by side, to this mp4"""
     json: Path | None = None
     """also write the results, per episode, to this file"""
+    card: Path | None = None
+    """also write a page about the checkpoint, with these results, to this file"""
 
     def __post_init__(self) -> None:
         for name in ("num_episodes", "num_envs", "torch_threads"):
@@ -62,8 +65,12 @@ class EvalConfig:
             raise ValueError(f"sigma must not be negative, got {self.sigma}")
 
 
-def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
+def evaluate(config: EvalConfig, arguments: Sequence[str] = ()) -> dict[str, torch.Tensor]:
     """Evaluate as configured and print a table.
+
+    Args:
+        config: Options.
+        arguments: The command line that gave them, for the card.
 
     Returns:
         Results per episode, as `evaluate_policy` gives them.
@@ -80,6 +87,9 @@ def evaluate(config: EvalConfig) -> dict[str, torch.Tensor]:
     print(describe_episodes(episodes))
     if config.json is not None:
         write_results(config, task, contents["global_step"], episodes)
+    if config.card is not None:
+        words = [word for word, before in zip(arguments, ["", *arguments], strict=False) if "--card" not in (word, before)]
+        write_card(config.card, Path(config.checkpoint), contents, policy, words, episodes)
     if config.video is not None:
         print(f"video: {record_video(policy, task, seeds[:4], config.video)}")
     return episodes
@@ -149,7 +159,7 @@ def write_results(
 def main(arguments: Sequence[str]) -> int:
     """Evaluate; report what the user can mend in one line instead of a traceback."""
     try:
-        evaluate(tyro.cli(EvalConfig, args=list(arguments), description=__doc__))
+        evaluate(tyro.cli(EvalConfig, args=list(arguments), description=__doc__), arguments)
     except (ValueError, OSError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import platform
 import subprocess
@@ -104,6 +105,20 @@ def make_run_name(config: TrainConfig) -> str:
     return f"{config.env_id}__{config.policy}_{config.algorithm}__{config.seed}__{int(time.time())}"
 
 
+def to_arguments(config: TrainConfig) -> list[str]:
+    """Return the command line that gives the options that are not at their defaults."""
+    arguments = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value == field.default:
+            continue
+        if isinstance(value, bool):
+            arguments.append(f"--{field.name}" if value else f"--no-{field.name}")
+        else:
+            arguments += [f"--{field.name}", *(map(str, value) if isinstance(value, tuple) else [str(value)])]
+    return arguments
+
+
 def write_run_record(
     run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1
 ) -> None:
@@ -139,13 +154,13 @@ def read_run_config(run_dir: Path) -> TrainConfig:
 
 def describe_episodes(episodes: Mapping[str, torch.Tensor]) -> str:
     """Return a table of per-episode results: rates for yes/no, mean and quantiles for numbers."""
-    lines = [f"{'':<18}{'mean':>9}{'5 %':>9}{'25 %':>9}{'median':>9}{'75 %':>9}{'95 %':>9}"]
+    lines = [f"{'':<18}{'mean':>11}{'5 %':>11}{'25 %':>11}{'median':>11}{'75 %':>11}{'95 %':>11}"]
     quantiles = torch.tensor([0.05, 0.25, 0.5, 0.75, 0.95], dtype=torch.float64)
     for name, values in episodes.items():
         cells = [values.double().mean()]
         if values.dtype != torch.bool:
             cells += torch.quantile(values.double(), quantiles)
-        lines.append(f"{name:<18}" + "".join(f"{cell.item():>9.4g}" for cell in cells))
+        lines.append(f"{name:<18}" + "".join(f"{cell.item():>11.4g}" for cell in cells))
     return "\n".join(lines)
 
 

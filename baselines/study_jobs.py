@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Literal
 
 from evaluate_study import is_played
+from run_setup import to_arguments
 
 from maniskill_grpd.evaluation import Run, Study
 from maniskill_grpd.evaluation.records import TEST_FOLDER
 from maniskill_grpd.evaluation.study import AS_TRAINED, EXPERT, expert_run, to_pairs
-from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS
 from maniskill_grpd.learning.run_log import read_rows
 
@@ -186,20 +186,6 @@ def train_arguments(job: Job) -> list[str]:
         job.folder.mkdir()
     config = dataclasses.replace(job.run.train_config(), exp_name=f"{RUNS.name}/{job.run.name}")
     return to_arguments(config)
-
-
-def to_arguments(config: TrainConfig) -> list[str]:
-    """Return the command line that gives the options that are not at their defaults."""
-    arguments = []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if value == field.default:
-            continue
-        if isinstance(value, bool):
-            arguments.append(f"--{field.name}" if value else f"--no-{field.name}")
-        else:
-            arguments += [f"--{field.name}", *(map(str, value) if isinstance(value, tuple) else [str(value)])]
-    return arguments
 
 
 def test_command(job: Job) -> tuple[str, list[str]]:

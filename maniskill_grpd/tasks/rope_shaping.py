@@ -85,17 +85,17 @@ class RopeShapingEnv(DeformableEnv):
     MAX_DISTANCE_LIMIT = 0.08
     """Success: largest distance of any node from its goal [m]."""
 
-    # A rope that rests half done must earn clearly less than one that is done, or the detour which lays
-    # its free part does not pay for the time it takes (docs/decisions.md).
-    FAR_WEIGHT = 0.2
+    # Return must rise with every bit of the detour that lays the free part of the rope, also where success is still far
+    # (docs/decisions.md).
+    FAR_WEIGHT = 0.1
     """Share of the reward that draws the rope near from anywhere."""
     FAR_SCALE = 0.2
     """Mean distance [m] at which that share has fallen to a quarter."""
-    NEAR_WEIGHT = 0.3
+    NEAR_WEIGHT = 0.6
     """Share of the reward for precision."""
-    NEAR_SCALE = 0.03
+    NEAR_SCALE = 0.05
     """Mean distance [m] at which that share has fallen to 1 / e."""
-    SUCCESS_WEIGHT = 0.5
+    SUCCESS_WEIGHT = 0.3
     """Share of the reward for success."""
 
     def __init__(

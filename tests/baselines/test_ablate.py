@@ -20,6 +20,7 @@ import evaluate_expert
 import evaluate_study
 import launchers
 import study_jobs
+from run_setup import to_arguments
 from study_jobs import RUNS, Job
 
 from maniskill_grpd.evaluation import STUDIES, Arm, Condition, Run, Study, Task
@@ -167,7 +168,7 @@ def test_a_run_with_other_options_is_not_mixed_in(toy, capsys):
 
 def test_the_command_line_of_a_training_gives_its_options():
     config = toy_job().run.train_config()
-    words = study_jobs.to_arguments(config)
+    words = to_arguments(config)
     assert words[words.index("--env_kwargs") + 1 :][:3] == ["resolution=20", "num_grippers=2", "num_threads=1"]
     assert "--no-capture_video" in words
     import train

@@ -1,11 +1,13 @@
 """The command-line scripts on a tiny rope task."""
 
 import json
+import shlex
 
 import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
+import tyro
 
 pytest.importorskip("mani_skill")
 
@@ -14,8 +16,9 @@ import evaluate
 import plot_learning_curve
 import record_video
 import train
+from checkpoint_card import UNIMPORTANT
 
-from maniskill_grpd.learning import load_checkpoint
+from maniskill_grpd.learning import TrainConfig, load_checkpoint
 from maniskill_grpd.learning.run_log import read_rows
 
 SIZES = "--num_envs 4 --num_steps 5 --num_minibatches 2 --update_epochs 1 --num_eval_envs 2"
@@ -149,6 +152,20 @@ def test_evaluation_reports_every_episode(run_dir, tmp_path, capsys):
     assert len(results["episodes"]["mean_distance"]) == 3
     assert results["mean"]["episode_len"] == 100
     assert results["env_kwargs"] == {"resolution": 20, "num_grippers": 2}
+
+
+def test_evaluation_writes_a_card_that_says_where_the_policy_comes_from(run_dir, tmp_path, capsys):
+    card = tmp_path / "cards" / "policy.md"
+    arguments = ["--checkpoint", str(run_dir / "final_ckpt.pt"), "--num_episodes", "3"]
+    assert evaluate.main([*arguments, "--card", str(card)]) == 0
+    text = card.read_text()
+    assert text.startswith("# final_ckpt.pt")
+    assert f"python baselines/evaluate.py {' '.join(arguments)}`" in text
+    assert capsys.readouterr().out.splitlines()[-1] in text
+    command = text.split("`python baselines/train.py ")[1].split("`")[0]
+    trained = load_checkpoint(run_dir / "final_ckpt.pt")["train_config"]
+    rebuilt = tyro.cli(TrainConfig, args=shlex.split(command)).to_dict()
+    assert {name for name in rebuilt if rebuilt[name] != trained[name]} <= UNIMPORTANT
 
 
 def test_evaluation_takes_another_resolution(run_dir, capsys):

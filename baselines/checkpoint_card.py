@@ -1,0 +1,64 @@
+"""A page about a checkpoint: where it comes from and what it reaches."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from run_setup import describe_episodes, to_arguments
+
+from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.policies import Policy
+
+UNIMPORTANT = frozenset({"checkpoint", "exp_name", "resume", "capture_video"})
+"""Options that say nothing about what was trained."""
+
+
+def write_card(
+    path: Path,
+    checkpoint: Path,
+    contents: Mapping[str, Any],
+    policy: Policy,
+    arguments: Sequence[str],
+    episodes: Mapping[str, torch.Tensor],
+) -> None:
+    """Write the page.
+
+    Args:
+        path: Where to.
+        checkpoint: The file it is about.
+        contents: What that file holds.
+        policy: The policy in it.
+        arguments: Command line of the evaluation, without the option that asked for the page.
+        episodes: Results per episode.
+    """
+    trained = TrainConfig.from_dict(contents["train_config"])
+    given = dataclasses.replace(trained, **{name: getattr(TrainConfig(), name) for name in UNIMPORTANT})
+    words = ["--env_id", trained.env_id, *to_arguments(dataclasses.replace(given, env_id=TrainConfig().env_id))]
+    command = shlex.join(["python", "baselines/train.py", *words])
+    size = sum(weight.numel() for weight in policy.parameters())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(
+        f"""# {checkpoint.name}
+
+| | |
+|---|---|
+| task | {" ".join([trained.env_id, *trained.env_kwargs])} |
+| policy | {trained.policy}, {size:,} parameters |
+| algorithm | {trained.algorithm}{f", {trained.trust_region}" if trained.algorithm == "bpp" else ""} |
+| trained for | {contents["global_step"]:,} of {trained.total_timesteps:,} environment steps |
+| trained with | `{command}` |
+
+Result of `python baselines/evaluate.py {shlex.join(arguments)}`, seeds that training never sees:
+
+```text
+{describe_episodes(episodes)}
+```
+""",
+        encoding="utf-8",
+    )
+
