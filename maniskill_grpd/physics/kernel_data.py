@@ -14,6 +14,7 @@ from maniskill_grpd.physics.lanes import Numbers, Vectors
 class Features:
     """What the worlds of a solver contain. Everything else is left out of its kernel."""
 
+    ropes: bool = False
     bends: bool = False
     hinges: bool = False
     tethers: bool = False
@@ -163,6 +164,7 @@ def _groups(number: type, vector: type) -> type:
         tether_lengths: wp.array3d(dtype=number)
         tether_impulses: wp.array3d(dtype=vector)
         directions: wp.array2d(dtype=vector)
+        straightened: wp.array2d(dtype=vector)
         upper: wp.array2d(dtype=number)
         multipliers: wp.array2d(dtype=number)
 

@@ -11,7 +11,15 @@ from functools import cache
 import warp as wp
 
 from maniskill_grpd.physics.block import synchronize_block
-from maniskill_grpd.physics.constraint_functions import project_bend, project_hinge, project_stretch_line, project_tethers
+from maniskill_grpd.physics.constraint_functions import (
+    eliminate_stretch_line,
+    measure_tautness,
+    project_bend,
+    project_hinge,
+    project_tethers,
+    push_stretch_line,
+    straighten_line,
+)
 from maniskill_grpd.physics.contact_phases import (
     add_reactions,
     find_self_contacts,
@@ -34,6 +42,7 @@ from maniskill_grpd.physics.group_functions import (
     sum_tethers,
 )
 from maniskill_grpd.physics.kernel_data import Features, LaneGroups, Objects, Obstacles, SelfContacts, SingleGroups, Touch, Worlds
+from maniskill_grpd.physics.lanes import any_positive, spread, sub  # noqa: F401 (operators on lanes)
 
 wp.config.log_level = wp.LOG_WARNING  # no banner when a library is imported
 
@@ -75,6 +84,31 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         synchronize_block()
 
     @wp.func
+    def project_line(
+        group: int, first_edge: int, first_node: int, scratch: int, num_edges: int, variant: int,
+        objects: Objects, groups: group_type,
+    ):  # fmt: skip
+        """Project the stretch of all edges of a line at once, in the directions to which a taut rope is pulled."""
+        eliminate_stretch_line(
+            group, first_edge, first_node, scratch, num_edges, objects.wrinkling[variant], False,
+            objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
+        )  # fmt: skip
+        if wp.static(features.ropes):  # noqa: SIM102 (left out at compile time)
+            if objects.is_rope[variant]:
+                tautness = measure_tautness(
+                    group, first_edge, first_node, num_edges, objects.line_nodes, objects.rest_lengths, groups
+                )
+                if any_positive(tautness - spread(tautness, 1.0)):
+                    straighten_line(
+                        group, first_edge, first_node, num_edges, tautness, objects.line_nodes, objects.rest_lengths, groups
+                    )
+                    eliminate_stretch_line(
+                        group, first_edge, first_node, scratch, num_edges, objects.wrinkling[variant], True,
+                        objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
+                    )  # fmt: skip
+        push_stretch_line(group, first_node, scratch, num_edges, objects.line_nodes, groups)
+
+    @wp.func
     def project_material(
         group: int, thread: int, threads: int, variant: int, objects: Objects, worlds: Worlds, groups: group_type
     ):
@@ -103,10 +137,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                 scratch = int(0)  # a single thread does one line after the other in the same place
                 if wp.static(not in_lanes):
                     scratch = edge - first_edge
-                project_stretch_line(
-                    group, edge, edge + line, scratch, objects.line_edges[line + 1] - edge, objects.wrinkling[variant],
-                    objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
-                )  # fmt: skip
+                project_line(group, edge, edge + line, scratch, objects.line_edges[line + 1] - edge, variant, objects, groups)
             synchronize_block()
 
     @wp.func

@@ -13,7 +13,8 @@ from maniskill_grpd.physics.model import Model
 COARSEST_SUBSTEPS = 20
 """Substeps of a control step for segments of `REFERENCE_SEGMENT` and longer."""
 REFERENCE_SEGMENT = 0.02
-"""Segment length [m] below which substeps grow in proportion: a taut rope is stable up to the tension rho l^2 / (3 dt^2)."""
+"""Segment length l [m] below which substeps grow in proportion: bending acts softer by 3 EI dt^2 / (rho l^4)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RopeMaterial:

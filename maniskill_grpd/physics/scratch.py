@@ -56,7 +56,7 @@ class WorldGroups:
         columns = {
             "gravity": 1, "table_normals": 1, "positions": nodes, "previous": nodes, "velocities": nodes, "reactions": nodes,
             "hold_starts": nodes, "hold_motions": nodes, "hold_offsets": nodes, "pulls": grippers, "tether_ends": grippers,
-            "directions": edges,
+            "directions": edges, "straightened": nodes,
         }  # fmt: skip
         for name, width in columns.items():
             setattr(self.data, name, self._vectors(self.count, width))

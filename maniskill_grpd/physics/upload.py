@@ -20,6 +20,7 @@ EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
     """Return what the kernel must be able to do."""
     return Features(
+        ropes=any(len(model.faces) == 0 for model in models),
         bends=any(len(model.bends) > 0 for model in models),
         hinges=any(len(model.hinges) > 0 for model in models),
         tethers=any(np.isfinite(model.max_strain) for model in models),

@@ -8,13 +8,13 @@ import warp as wp
 from maniskill_grpd.physics.kernel_data import Features
 from maniskill_grpd.physics.kernels import build_step_kernel
 
-EVERYTHING = Features(bends=True, hinges=True, tethers=True, colliders=True, self_contact=True)
+EVERYTHING = Features(ropes=True, bends=True, hinges=True, tethers=True, colliders=True, self_contact=True)
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no CUDA compiler there")
 @pytest.mark.parametrize(
     "features",
-    [Features(bends=True), pytest.param(EVERYTHING, marks=pytest.mark.slow)],
+    [Features(ropes=True, bends=True), pytest.param(EVERYTHING, marks=pytest.mark.slow)],
     ids=["rope", "everything"],
 )
 def test_the_step_compiles_for_cuda(features, tmp_path):

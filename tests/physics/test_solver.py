@@ -128,6 +128,41 @@ def test_rope_keeps_its_length_when_dragged_at_full_speed():
     assert not solver.frozen.any()
 
 
+def test_a_taut_rope_keeps_its_length_when_dragged_sideways():
+    """Its ends are pulled apart with all they have, to the end of their leash, while both are dragged to and fro."""
+    num_worlds = 16
+    solver = Solver(lying_rope(), num_worlds, 2)
+    solver.plane[:, 3] = -100.0
+    solver.reset(torch.arange(num_worlds), gripper_nodes=torch.tensor([0, 40]))
+    strains = []
+    for move in random_moves(num_worlds, 60):
+        solver.gripper_targets.copy_(solver.gripper_positions + move[:, :1])
+        solver.gripper_targets[:, 0, 0] -= MAX_STEP
+        solver.gripper_targets[:, 1, 0] += MAX_STEP
+        solver.step()
+        strains.append((solver.positions[:, 1:] - solver.positions[:, :-1]).norm(dim=-1) / 0.02 - 1.0)
+    # A gripper turns from -v to v = 0.6 m/s between two substeps of dt = 2.5 ms. Half the rope follows it within about one:
+    # T = (rho L / 2) 2 v / dt = 9.6 N, a strain of T / EA = 2 %.
+    assert torch.stack(strains).max() < 0.02
+    assert not solver.frozen.any()
+
+
+def test_a_slack_rope_is_bitwise_the_same_beside_a_taut_one():
+    """The directions of the end of a substep are taken in worlds whose rope is taut, and change nothing in the others."""
+    slack, both = Solver(lying_rope(), 1, 2), Solver(lying_rope(), 2, 2)
+    slack.reset(torch.tensor([0]), gripper_nodes=torch.tensor([0, -1]))
+    both.reset(torch.tensor([0]), gripper_nodes=torch.tensor([0, -1]))
+    both.reset(torch.tensor([1]), gripper_nodes=torch.tensor([0, 40]))
+    for _ in range(20):
+        slack.gripper_targets[:, 0, 2] += 0.005
+        both.gripper_targets[0, 0, 2] += 0.005
+        both.gripper_targets[1, :, 1] += MAX_STEP
+        slack.step()
+        both.step()
+    assert both.gripper_forces[1].norm(dim=-1).min() > 1.07  # the limit rho l^2 / (3 dt^2) [N]
+    assert_same_state(slack, both, worlds_b=slice(0, 1))
+
+
 def test_grippers_cannot_pull_the_rope_beyond_its_length():
     solver = held_solver(1)
     for _ in range(40):

@@ -38,8 +38,6 @@ class Case:
     options: dict = field(default_factory=dict)
     slow: bool = False
     """Takes more than a few seconds."""
-    fails_because: str = ""
-    """Why the case is known not to hold; empty when it holds."""
 
     def checks(self) -> list[Check]:
         """Simulate and compare."""

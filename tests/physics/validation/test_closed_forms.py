@@ -11,8 +11,6 @@ MODULES = [rope_statics, rope_dynamics, cloth_statics, contact]
 
 def as_param(case):
     marks = [pytest.mark.slow] if case.slow else []
-    if case.fails_because:
-        marks.append(pytest.mark.xfail(reason=case.fails_because, strict=True))
     return pytest.param(case, id=str(case), marks=marks)
 
 
