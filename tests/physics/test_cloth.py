@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import torch
+from validation.corner_drag import drag
 
 from maniskill_grpd.physics import (
     ClothMaterial,
-    Solver,
     circle_outline,
     cloth,
     hexagon_outline,
@@ -17,7 +17,6 @@ from maniskill_grpd.physics import (
 )
 from maniskill_grpd.physics.elastic_fit import quartic_coefficients
 
-MAX_STEP = 0.03
 OUTLINES = {
     "square": (square_outline(0.4), circle_outline(0.06), 4),
     "rectangle": (rectangle_outline(0.6, 0.3), rectangle_outline(0.1, 0.1), 4),
@@ -129,34 +128,6 @@ def test_distances_go_around_holes_and_corners():
     reach = np.linalg.norm(start)
     exact = 2 * np.sqrt(reach**2 - 0.01) + 0.1 * (np.pi - 2 * np.arccos(0.1 / reach))
     assert holed.geodesic_distances(np.array([left]))[right, 0] == pytest.approx(exact, rel=0.02)
-
-
-def drag(
-    num_nodes: int, num_worlds: int, gripped: list[int], num_steps: int = 40, *, apart: bool = False, **material
-) -> torch.Tensor:
-    """Drag a held cloth to and fro at full speed, its grippers together or each its own way.
-
-    Returns:
-        Strain of its edges, (T, B, E).
-    """
-    model = cloth(square_outline(0.4), num_nodes=num_nodes, material=ClothMaterial(**material))
-    solver = Solver(model, num_worlds, len(gripped))
-    solver.plane[:, 3] = -100.0
-    solver.reset(torch.arange(num_worlds), gripper_nodes=torch.as_tensor(model.node_sets["corners"][gripped]))
-    edges = torch.as_tensor(model.mesh_edges).long()
-    rest = (solver.positions[0, edges[:, 0]] - solver.positions[0, edges[:, 1]]).norm(dim=-1)
-    generator = torch.Generator().manual_seed(0)
-    strains = []
-    for step in range(num_steps):
-        if step % 10 == 0:
-            direction = torch.randn(num_worlds, len(gripped) if apart else 1, 3, generator=generator)
-            move = MAX_STEP * direction / direction.norm(dim=-1, keepdim=True)
-        solver.gripper_targets.copy_(solver.gripper_positions + move)
-        solver.step()
-        lengths = (solver.positions[:, edges[:, 0]] - solver.positions[:, edges[:, 1]]).norm(dim=-1)
-        strains.append(lengths / rest - 1.0)
-    assert not solver.frozen.any()
-    return torch.stack(strains)
 
 
 @pytest.mark.parametrize("gripped", [[0], [0, 1], [0, 1, 2, 3]])
