@@ -8,7 +8,8 @@ from maniskill_grpd.physics.block import synchronize_block
 from maniskill_grpd.physics.contact_search_functions import (
     BLOCK,
     bound_block,
-    bound_cluster,
+    bound_element,
+    bound_spheres,
     find_candidates,
     register_contacts,
     sort_contacts,
@@ -69,21 +70,26 @@ def search_world(
     num_elements = objects.element_starts[variant + 1] - first_element
     for node in range(thread, num_nodes, threads):
         contacts.num_of_node[world, node] = 0
+    for element in range(thread, num_elements, threads):
+        bound_element(
+            world, element, first_element, objects.is_rope[variant], objects.elements, touch.positions, contacts.element_spheres
+        )
+    synchronize_block()
     num_blocks = (num_elements + BLOCK - 1) // BLOCK
     for block in range(thread, num_blocks, threads):
         bound_block(
-            world, block, first_element, num_elements, objects.elements, objects.element_radii,
-            touch.positions, touch.velocities, contacts.block_spheres, contacts.block_motions,
+            world, block, first_element, num_elements, objects.elements, touch.velocities,
+            contacts.element_spheres, contacts.block_spheres, contacts.block_motions,
         )  # fmt: skip
     synchronize_block()
     for cluster in range(thread, (num_blocks + BLOCK - 1) // BLOCK, threads):
-        bound_cluster(world, cluster, num_blocks, contacts.block_spheres, contacts.cluster_spheres)
+        contacts.cluster_spheres[world, cluster] = bound_spheres(world, cluster, num_blocks, contacts.block_spheres)
     synchronize_block()
     for owner in range(thread, objects.owner_counts[variant], threads):
         dropped = find_candidates(
             world, owner, first_element,
-            num_elements, objects.is_rope[variant], 3.0 * objects.radii[variant], objects.exclusions[variant],
-            2.0 * float(search_interval) * dt, variant, objects.elements, objects.element_radii,
+            num_elements, objects.is_rope[variant], objects.radii[variant], objects.exclusions[variant],
+            2.0 * float(search_interval) * dt, variant, objects.elements, contacts.element_spheres,
             objects.geodesics, touch.positions, touch.velocities,
             contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
             contacts.block_spheres, contacts.block_motions, contacts.cluster_spheres,

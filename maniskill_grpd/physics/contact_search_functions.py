@@ -16,10 +16,32 @@ from maniskill_grpd.physics.self_contact_functions import (
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
-# Elements that are closer than this fraction of the reach touch: reach is three times the radius, thickness two.
-TOUCHING = wp.constant(2.0 / 3.0)
+# Distance [radii] within which elements are candidates even if they do not approach each other; they touch at two.
+REACH = wp.constant(3.0)
 # Most that two points are expected to approach each other between two searches [m]: both at twice the speed of a gripper.
 MAX_APPROACH = wp.constant(0.04)
+
+
+@wp.func
+def bound_element(
+    world: int,
+    element: int,
+    first_element: int,
+    is_rope: bool,
+    elements: wp.array(dtype=wp.vec3i),
+    positions: wp.array2d(dtype=wp.vec3),
+    element_spheres: wp.array2d(dtype=wp.vec4),
+):
+    """Compute a sphere (centre, radius) about a triangle, at its centroid, or about a segment, at its middle."""
+    corners = elements[first_element + element]
+    x_0 = positions[world, corners[0]]
+    x_1 = positions[world, corners[1]]
+    x_2 = positions[world, corners[2]]
+    center = (x_0 + x_1 + x_2) / 3.0
+    if is_rope:
+        center = (x_0 + x_1) / 2.0
+    radius = wp.max(wp.length(x_0 - center), wp.max(wp.length(x_1 - center), wp.length(x_2 - center)))
+    element_spheres[world, element] = wp.vec4(center[0], center[1], center[2], radius)
 
 
 @wp.func
@@ -29,53 +51,38 @@ def bound_block(
     first_element: int,
     num_elements: int,
     elements: wp.array(dtype=wp.vec3i),
-    element_radii: wp.array(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
+    element_spheres: wp.array2d(dtype=wp.vec4),
     block_spheres: wp.array2d(dtype=wp.vec4),
     block_motions: wp.array2d(dtype=wp.vec4),
 ):
-    """Compute a sphere (centre, radius) about the first corners of the elements of a block, and one about their velocities.
-
-    The first is widened by the radii of the elements.
-    """
+    """Compute a sphere about the elements of a block, and one about the velocities of their first corners."""
+    block_spheres[world, block] = bound_spheres(world, block, num_elements, element_spheres)
     start = block * BLOCK
     end = wp.min(start + BLOCK, num_elements)
-    center = wp.vec3(0.0, 0.0, 0.0)
     velocity = wp.vec3(0.0, 0.0, 0.0)
     for element in range(start, end):
-        center += positions[world, elements[first_element + element][0]] / float(end - start)
         velocity += velocities[world, elements[first_element + element][0]] / float(end - start)
-    radius = float(0.0)
     spread = float(0.0)
     for element in range(start, end):
-        corner = elements[first_element + element][0]
-        radius = wp.max(radius, wp.length(positions[world, corner] - center) + element_radii[first_element + element])
-        spread = wp.max(spread, wp.length(velocities[world, corner] - velocity))
-    block_spheres[world, block] = wp.vec4(center[0], center[1], center[2], radius)
+        spread = wp.max(spread, wp.length(velocities[world, elements[first_element + element][0]] - velocity))
     block_motions[world, block] = wp.vec4(velocity[0], velocity[1], velocity[2], spread)
 
 
 @wp.func
-def bound_cluster(
-    world: int,
-    cluster: int,
-    num_blocks: int,
-    block_spheres: wp.array2d(dtype=wp.vec4),
-    cluster_spheres: wp.array2d(dtype=wp.vec4),
-):
-    """Compute a sphere about the spheres of a cluster of blocks."""
-    start = cluster * BLOCK
-    end = wp.min(start + BLOCK, num_blocks)
+def bound_spheres(world: int, block: int, count: int, spheres: wp.array2d(dtype=wp.vec4)) -> wp.vec4:
+    """Return a sphere about those of `count` spheres that lie in one block."""
+    start = block * BLOCK
+    end = wp.min(start + BLOCK, count)
     center = wp.vec3(0.0, 0.0, 0.0)
-    for block in range(start, end):
-        sphere = block_spheres[world, block]
+    for k in range(start, end):
+        sphere = spheres[world, k]
         center += wp.vec3(sphere[0], sphere[1], sphere[2]) / float(end - start)
     radius = float(0.0)
-    for block in range(start, end):
-        sphere = block_spheres[world, block]
+    for k in range(start, end):
+        sphere = spheres[world, k]
         radius = wp.max(radius, wp.length(wp.vec3(sphere[0], sphere[1], sphere[2]) - center) + sphere[3])
-    cluster_spheres[world, cluster] = wp.vec4(center[0], center[1], center[2], radius)
+    return wp.vec4(center[0], center[1], center[2], radius)
 
 
 @wp.func
@@ -87,36 +94,43 @@ def is_near(x: wp.vec3, sphere: wp.vec4, margin: float) -> bool:
 
 
 @wp.func
+def farthest_slot(world: int, first_slot: int, contact_gaps: wp.array2d(dtype=float)) -> int:
+    """Return the slot of the candidate that is farthest away, of an owner whose slots are all taken."""
+    slot = first_slot
+    for other in range(first_slot + 1, first_slot + SLOTS):
+        if contact_gaps[world, other] > contact_gaps[world, slot]:
+            slot = other
+    return slot
+
+
+@wp.func
 def keep_nearest(
-    world: int, first_slot: int, num_found: int, nodes: wp.vec4i, is_rope: bool, reach: float,
+    world: int, first_slot: int, num_found: int, nodes: wp.vec4i, is_rope: bool, reach: float, thickness: float,
     positions: wp.array2d(dtype=wp.vec3),
     contact_nodes: wp.array2d(dtype=wp.vec4i), contact_sides: wp.array2d(dtype=float), contact_gaps: wp.array2d(dtype=float),
 ) -> int:  # fmt: skip
     """Write a candidate within reach into a free slot or that of the farthest, if that one is farther.
 
     Returns:
-        1 if a slot was filled that was free, -1 if two elements that are closer than `TOUCHING` of the reach had to share one.
+        1 if a slot was filled that was free, -1 if two elements that touch had to share one.
     """
     weight = closest_weights(world, nodes, is_rope, positions)
     gap = barycentric_gap(weight, nodes, world, positions)
     length = wp.length(gap)
     if length >= reach:
         return 0
-    slot = num_found
+    slot = first_slot + num_found
     result = int(1)
     if num_found == SLOTS:
-        slot = int(0)
-        for other in range(1, SLOTS):
-            if contact_gaps[world, first_slot + other] > contact_gaps[world, first_slot + slot]:
-                slot = other
-        farthest = contact_gaps[world, first_slot + slot]
-        result = wp.where(wp.max(length, farthest) < TOUCHING * reach, -1, 0)
+        slot = farthest_slot(world, first_slot, contact_gaps)
+        farthest = contact_gaps[world, slot]
+        result = wp.where(wp.max(length, farthest) < thickness, -1, 0)
         if length >= farthest:
             return result
-    contact_nodes[world, first_slot + slot] = nodes
-    contact_gaps[world, first_slot + slot] = length
+    contact_nodes[world, slot] = nodes
+    contact_gaps[world, slot] = length
     side = wp.dot(gap, facing(world, nodes, is_rope, positions))
-    contact_sides[world, first_slot + slot] = wp.where(side < 0.0, -1.0, 1.0)
+    contact_sides[world, slot] = wp.where(side < 0.0, -1.0, 1.0)
     return result
 
 
@@ -134,12 +148,12 @@ def find_candidates(
     first_element: int,
     num_elements: int,
     is_rope: bool,
-    reach: float,
+    radius: float,
     exclusion: float,
     step_duration: float,
     variant: int,
     elements: wp.array(dtype=wp.vec3i),
-    element_radii: wp.array(dtype=float),
+    element_spheres: wp.array2d(dtype=wp.vec4),
     geodesics: wp.array3d(dtype=float),
     positions: wp.array2d(dtype=wp.vec3),
     velocities: wp.array2d(dtype=wp.vec3),
@@ -154,43 +168,54 @@ def find_candidates(
     """Fill the slots of a node (or segment) with the nearest elements that it may touch before the next search.
 
     Elements that are closer than `exclusion` through the material are neighbours rather than contacts. When the slots are full
-    the farthest gives way, so that the result does not depend on anything but the positions. Returns how many contacts were lost.
+    the farthest gives way, so that the result does not depend on anything but the positions. Returns how many elements found no
+    slot although they touch.
     """
+    reach = REACH * radius
+    thickness = 2.0 * radius
     num_found = int(0)
     num_lost = int(0)
     start = int(0)
-    if is_rope:
-        start = owner + 1
     x = positions[world, owner]
     v = velocities[world, owner]
+    own_radius = float(0.0)
+    if is_rope:
+        start = owner + 1
+        sphere = element_spheres[world, owner]
+        x = wp.vec3(sphere[0], sphere[1], sphere[2])
+        own_radius = sphere[3]
+    extent = reach + own_radius
+    farthest = float(MAX_APPROACH + reach)  # gap of the last candidate, once all slots are taken
     num_blocks = (num_elements + BLOCK - 1) // BLOCK
     for cluster in range(start // (BLOCK * BLOCK), (num_blocks + BLOCK - 1) // BLOCK):
-        if not is_near(x, cluster_spheres[world, cluster], reach + MAX_APPROACH):
+        if not is_near(x, cluster_spheres[world, cluster], extent + MAX_APPROACH):
             continue
         for block in range(wp.max(cluster * BLOCK, start // BLOCK), wp.min((cluster + 1) * BLOCK, num_blocks)):
-            if not is_near(x, block_spheres[world, block], reach + MAX_APPROACH):
-                continue
             motion = block_motions[world, block]
             speed = wp.length(v - wp.vec3(motion[0], motion[1], motion[2])) + motion[3]
             block_approach = wp.min(speed * step_duration, MAX_APPROACH)
-            if not is_near(x, block_spheres[world, block], reach + block_approach):
+            if not is_near(x, block_spheres[world, block], extent + block_approach):
                 continue
             for element in range(wp.max(start, block * BLOCK), wp.min((block + 1) * BLOCK, num_elements)):
-                corners = elements[first_element + element]
-                bound = element_radii[first_element + element] + reach
-                distance = wp.length(x - positions[world, corners[0]])
-                if distance < bound + block_approach:
+                sphere = element_spheres[world, element]
+                if is_near(x, sphere, extent + block_approach):
+                    corners = elements[first_element + element]
                     approach = wp.min(wp.length(v - velocities[world, corners[0]]) * step_duration, MAX_APPROACH)
-                    if distance < bound + approach and through_material(variant, owner, corners, geodesics) > exclusion:
+                    wanted = wp.min(reach + approach, wp.max(farthest, thickness))
+                    if is_near(x, sphere, own_radius + wanted) and (
+                        through_material(variant, owner, corners, geodesics) > exclusion
+                    ):
                         nodes = wp.vec4i(owner, corners[0], corners[1], corners[2])
                         if is_rope:
                             nodes = wp.vec4i(owner, owner + 1, corners[0], corners[1])
                         kept = keep_nearest(
-                            world, owner * SLOTS, num_found, nodes, is_rope, reach + approach, positions,
+                            world, owner * SLOTS, num_found, nodes, is_rope, reach + approach, thickness, positions,
                             contact_nodes, contact_sides, contact_gaps,
                         )  # fmt: skip
                         num_found += wp.max(kept, 0)
                         num_lost -= wp.min(kept, 0)
+                        if num_found == SLOTS:
+                            farthest = contact_gaps[world, farthest_slot(world, owner * SLOTS, contact_gaps)]
     contact_counts[world, owner] = num_found
     return num_lost
 
@@ -222,9 +247,7 @@ def register_contacts(
 
 
 @wp.func
-def sort_contacts(
-    world: int, node: int, contacts_of_node: wp.array3d(dtype=int), num_contacts_of_node: wp.array2d(dtype=int)
-):
+def sort_contacts(world: int, node: int, contacts_of_node: wp.array3d(dtype=int), num_contacts_of_node: wp.array2d(dtype=int)):
     """Sort the contacts of a node, so that sums do not depend on the order in which lanes entered them."""
     count = wp.min(num_contacts_of_node[world, node], MAX_CONTACTS_PER_NODE)
     num_contacts_of_node[world, node] = count

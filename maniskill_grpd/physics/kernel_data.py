@@ -57,7 +57,6 @@ class Objects:
     # Triangles of cloth and segments of ropes, for contact of an object with itself.
     element_starts: wp.array(dtype=int)
     elements: wp.array(dtype=wp.vec3i)
-    element_radii: wp.array(dtype=float)
     owner_counts: wp.array(dtype=int)
     exclusions: wp.array(dtype=float)
     is_rope: wp.array(dtype=wp.bool)
@@ -90,6 +89,7 @@ class SelfContacts:
     of_node: wp.array3d(dtype=int)
     num_of_node: wp.array2d(dtype=int)
     num_active: wp.array2d(dtype=int)
+    element_spheres: wp.array2d(dtype=wp.vec4)
     block_spheres: wp.array2d(dtype=wp.vec4)
     block_motions: wp.array2d(dtype=wp.vec4)
     cluster_spheres: wp.array2d(dtype=wp.vec4)

@@ -93,12 +93,14 @@ def allocate_touch(num_worlds: int, num_nodes: int, used: bool, device: torch.de
 def allocate_self_contacts(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> SelfContacts:
     """Allocate the slots for contacts of objects with themselves."""
     nodes = num_nodes if used else 1
-    slots, blocks = nodes * SLOTS, 2 * nodes // BLOCK + 1  # a cloth has less than two triangles for each node
+    slots, elements = nodes * SLOTS, 2 * nodes  # a cloth has less than two triangles for each node
+    blocks = elements // BLOCK + 1
     shapes = {
         "nodes": ((slots,), wp.vec4i), "sides": ((slots,), wp.float32), "gaps": ((slots,), wp.float32),
         "weights": ((slots,), wp.vec4), "impulses": ((slots,), wp.vec3), "counts": ((nodes,), wp.int32),
         "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32), "num_of_node": ((nodes,), wp.int32),
-        "num_active": ((nodes,), wp.int32), "block_spheres": ((blocks,), wp.vec4), "block_motions": ((blocks,), wp.vec4),
+        "num_active": ((nodes,), wp.int32), "element_spheres": ((elements,), wp.vec4),
+        "block_spheres": ((blocks,), wp.vec4), "block_motions": ((blocks,), wp.vec4),
         "cluster_spheres": ((blocks // BLOCK + 1,), wp.vec4),
     }  # fmt: skip
     contacts = SelfContacts()

@@ -71,9 +71,8 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.mesh_edges = array(nodes, wp.vec2i)
 
     elements = [_elements(model) for model in models]
-    objects.element_starts = array(_starts([len(nodes) for nodes, _ in elements]), int)
-    objects.elements = array(_join([nodes for nodes, _ in elements], 3), wp.vec3i)
-    objects.element_radii = array(_join([radii for _, radii in elements], 0), float)
+    objects.element_starts = array(_starts([len(nodes) for nodes in elements]), int)
+    objects.elements = array(np.concatenate(elements), wp.vec3i)
     objects.owner_counts = array([model.num_nodes - (len(model.faces) == 0) for model in models], int)
     objects.is_rope = array([len(model.faces) == 0 for model in models], wp.bool)
     lengths = [float(model.rest_lengths.mean()) for model in models]
@@ -108,11 +107,6 @@ def upload_obstacles(colliders: Sequence[Collider], device: str) -> tuple[Obstac
 
 def _starts(counts: Sequence[int]) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-
-
-def _join(parts: Sequence[np.ndarray], width: int) -> np.ndarray:
-    """Concatenate, and give an empty list the right number of columns."""
-    return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0)
 
 
 def _lines_by_color(models: Sequence[Model]) -> dict[str, np.ndarray]:
@@ -160,16 +154,15 @@ def _by_color(variants: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, n
     return _starts(counts), np.concatenate(colors).astype(np.int32), joined
 
 
-def _elements(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return the triangles of a cloth, or the segments of a rope with their second node twice, and their extent [m].
+def _elements(model: Model) -> np.ndarray:
+    """Return the triangles of a cloth, or the segments of a rope with their second node twice, (F, 3).
 
     Triangles are sorted so that those that follow each other lie together, in blocks rather than in rows.
     """
     if len(model.faces) == 0:
-        return model.edges[:, [0, 1, 1]], model.rest_lengths
-    corners = model.rest_positions[model.faces]
-    faces = np.argsort(_z_order(corners.mean(axis=1)[:, :2]), kind="stable")
-    return model.faces[faces], np.linalg.norm(corners - corners[:, :1], axis=-1).max(axis=1)[faces]
+        return model.edges[:, [0, 1, 1]]
+    centroids = model.rest_positions[model.faces].mean(axis=1)
+    return model.faces[np.argsort(_z_order(centroids[:, :2]), kind="stable")]
 
 
 def _z_order(points: np.ndarray) -> np.ndarray:
