@@ -3,7 +3,8 @@
 python benchmarks/train.py [--quick] [--processes] [--json FILE] [--markdown FILE]
 
 Three learners take turns on one core with the same task, environments and steps per iteration: grpd with bpp, grpd with ppo, and
-dense networks on the flat state (stock_ppo.py). Share of each phase: simulation, policy in the rollout, update. --processes also
+dense networks on the flat state, ManiSkill's baseline as in examples/maniskill_ppo.py. Share of each phase: simulation, policy
+in the rollout, update. --processes also
 runs grpd with bpp in two processes on the same batch, in turns with one process, as torchrun would.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -25,10 +27,10 @@ import torch
 from machine import describe_machine
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "baselines"))
+sys.path[:0] = [str(ROOT / "baselines"), str(ROOT / "examples")]
 
+import maniskill_ppo  # noqa: E402
 from run_setup import make_vector_env  # noqa: E402
-from stock_ppo import StockPPO  # noqa: E402
 
 from maniskill_grpd.learning import TrainConfig, Trainer  # noqa: E402
 from maniskill_grpd.learning.allocator import keep_freed_memory  # noqa: E402
@@ -50,11 +52,54 @@ def make_ours(algorithm: str, folder: str, **options: Any) -> Trainer:
     return trainer
 
 
-def make_peer(num_steps: int) -> StockPPO:
-    """Make the stock learner on the same task, seen as a flat state."""
-    config = TrainConfig(**SIZES, env_kwargs=("obs_mode=state",))
-    torch.manual_seed(1)
-    return StockPPO(make_vector_env(config, config.num_envs, partial_reset=False), num_steps)
+class Peer:
+    """ManiSkill's baseline on the same task, seen as a flat state, with its numbers of epochs and minibatches.
+
+    Args:
+        num_steps: Steps of a rollout.
+
+    Attributes:
+        times: Seconds of the last iteration: rollout, env (its share of the rollout), update.
+    """
+
+    def __init__(self, num_steps: int) -> None:
+        self.config = maniskill_ppo.PpoConfig(
+            num_envs=SIZES["num_envs"], num_steps=num_steps, update_epochs=4, num_minibatches=32, target_kl=math.inf
+        )
+        torch.manual_seed(1)
+        config = TrainConfig(**SIZES, env_kwargs=("obs_mode=state",))
+        self.envs = TimedEnvs(make_vector_env(config, config.num_envs, partial_reset=False))
+        self.state, _ = self.envs.reset(seed=0)
+        self.agent = maniskill_ppo.MlpAgent(self.state.shape[1], self.envs.single_action_space.shape[0])
+        self.optimizer = torch.optim.Adam(self.agent.parameters(), lr=self.config.learning_rate, eps=1e-5)
+        self.times: dict[str, float] = {}
+
+    def run_iteration(self) -> None:
+        """Collect and learn once."""
+        self.envs.seconds = 0.0
+        start = time.perf_counter()
+        rollout, self.state = maniskill_ppo.collect(self.agent, self.envs, self.state, self.config)
+        self.times = {"rollout": time.perf_counter() - start, "env": self.envs.seconds}
+        maniskill_ppo.update(self.agent, self.optimizer, rollout, self.config)
+        self.times["update"] = time.perf_counter() - start - self.times["rollout"]
+
+
+class TimedEnvs:
+    """A vector environment that counts the seconds its steps take."""
+
+    def __init__(self, envs: Any) -> None:
+        self.envs = envs
+        self.seconds = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.envs, name)
+
+    def step(self, action: torch.Tensor) -> Any:
+        """Step the worlds."""
+        start = time.perf_counter()
+        result = self.envs.step(action)
+        self.seconds += time.perf_counter() - start
+        return result
 
 
 def measure(repeats: int, options: dict[str, Any]) -> list[dict[str, Any]]:
@@ -64,7 +109,7 @@ def measure(repeats: int, options: dict[str, Any]) -> list[dict[str, Any]]:
         learners = {
             "grpd, bpp": make_ours("bpp", bpp, **options),
             "grpd, ppo": make_ours("ppo", ppo, **options),
-            PEER: make_peer(TrainConfig(**SIZES).num_steps),
+            PEER: Peer(TrainConfig(**SIZES).num_steps),
         }
         for learner in learners.values():
             learner.run_iteration()  # warm-up

@@ -1,15 +1,12 @@
-"""The training benchmark: its stock learner learns, its rows add up."""
+"""The training benchmark: its peer learns, its rows add up."""
 
 import importlib.util
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
 
 pytest.importorskip("mani_skill")
-
-from stock_ppo import StockPPO
 
 # By path: baselines has a train.py, too.
 SPEC = importlib.util.spec_from_file_location("train_benchmark", Path(__file__).parents[2] / "benchmarks" / "train.py")
@@ -17,37 +14,14 @@ benchmark = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(benchmark)
 
 
-class PointEnv:
-    """Rewards actions close to the observation; episodes end after five steps by a time limit."""
-
-    single_action_space = SimpleNamespace(shape=(2,))
-
-    def reset(self, seed):
-        """Start anew."""
-        self.elapsed, self.obs = 0, torch.randn(32, 2)
-        return self.obs, {}
-
-    def step(self, action):
-        """Pay and draw the next observation."""
-        reward = -(action - self.obs).square().sum(-1)
-        self.elapsed, self.obs = self.elapsed + 1, torch.randn(32, 2)
-        truncated = torch.full((32,), self.elapsed % 5 == 0)
-        info = {"final_observation": self.obs}
-        return self.obs, reward, torch.zeros(32, dtype=torch.bool), truncated, info
-
-
-def test_the_stock_learner_learns():
-    learner = StockPPO(PointEnv(), num_steps=20)
-
-    def error():
-        obs = torch.randn(500, 2)
-        return (learner.actor(obs) - obs).square().sum(-1).mean().item()
-
-    before = error()
-    for _ in range(6):
-        learner.run_iteration()
-    assert error() < 0.8 * before
-    assert set(learner.times) == {"rollout", "env", "update"}
+def test_the_peer_collects_and_learns_and_counts_the_time_of_the_environment():
+    peer = benchmark.Peer(num_steps=5)
+    before = [parameter.detach().clone() for parameter in peer.agent.parameters()]
+    peer.run_iteration()
+    assert set(peer.times) == {"rollout", "env", "update"}
+    assert 0.0 < peer.times["env"] < peer.times["rollout"]
+    assert any(not torch.equal(old, new) for old, new in zip(before, peer.agent.parameters(), strict=True))
+    peer.envs.close()
 
 
 def test_shares_of_the_phases_add_up_to_one():

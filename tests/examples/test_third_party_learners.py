@@ -55,3 +55,32 @@ def test_ppo_as_in_maniskill_bootstraps_from_the_last_observation():
     # the episode that follows starts elsewhere
     assert (seen[99][4]["final_observation"] != seen[99][0]).any()
     envs.close()
+
+
+class PointEnv:
+    """Rewards actions close to the observation; episodes end after five steps by a time limit."""
+
+    def step(self, action):
+        """Pay and draw the next observation."""
+        reward = -(action - self.obs).square().sum(-1)
+        self.elapsed, self.obs = self.elapsed + 1, torch.randn(32, 2)
+        truncated = torch.full((32,), self.elapsed % 5 == 0)
+        return self.obs, reward, torch.zeros(32, dtype=torch.bool), truncated, {"final_observation": self.obs}
+
+
+def test_ppo_as_in_maniskill_learns():
+    torch.manual_seed(0)
+    config = maniskill_ppo.PpoConfig(num_envs=32, num_steps=20)
+    envs, agent = PointEnv(), maniskill_ppo.MlpAgent(2, 2)
+    envs.elapsed, envs.obs = 0, torch.randn(32, 2)
+    optimizer = torch.optim.Adam(agent.parameters(), lr=config.learning_rate)
+    points, state = torch.randn(500, 2), envs.obs
+
+    def error():
+        return (agent.actor(points) - points).square().sum(-1).mean().item()
+
+    before = error()
+    for _ in range(8):
+        rollout, state = maniskill_ppo.collect(agent, envs, state, config)
+        maniskill_ppo.update(agent, optimizer, rollout, config)
+    assert error() < 0.8 * before
