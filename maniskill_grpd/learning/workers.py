@@ -9,6 +9,7 @@ at every moment, and a minibatch is as large as with one process.
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -17,6 +18,10 @@ import torch
 import torch.distributed as dist
 
 T = TypeVar("T")
+
+_FEW = 4
+"""Most processes that swap whole gradients; what each receives grows with their number."""
+
 
 @dataclass(frozen=True)
 class Workers:
@@ -69,7 +74,14 @@ class Workers:
         if self.size == 1:
             return
         gradients = [p.grad for p in parameters if p.grad is not None]
-        flat = self.sum(torch.cat([gradient.reshape(-1) for gradient in gradients])) / self.size
+        flat = torch.cat([gradient.reshape(-1) for gradient in gradients])
+        if flat.device.type == "cpu" and self.size <= _FEW:
+            # All swap whole gradients at once: gloo's ring of partial sums takes three times as long.
+            parts = [torch.empty_like(flat) for _ in range(self.size)]
+            dist.all_gather(parts, flat)
+            flat = torch.stack(parts).sum(dim=0) / self.size
+        else:
+            flat = self.sum(flat) / self.size
         sizes = [gradient.numel() for gradient in gradients]
         for gradient, mean in zip(gradients, flat.split(sizes), strict=True):
             gradient.copy_(mean.view_as(gradient))
@@ -113,6 +125,9 @@ def join_workers(device: torch.device | str) -> Workers:
     if size == 1:
         return Workers()
     if not dist.is_initialized():
+        if sys.platform == "linux" and os.environ.get("LOCAL_WORLD_SIZE") == str(size):
+            # All on this machine: not through its network card.
+            os.environ.setdefault("GLOO_SOCKET_IFNAME", "lo")
         dist.init_process_group("nccl" if torch.device(device).type == "cuda" else "gloo")
     return Workers(dist.get_rank(), size)
 
