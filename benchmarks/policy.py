@@ -102,8 +102,7 @@ class PerEdgeConv(nn.Module):
     of every edge is formed, (receivers, senders, channels), then messages are summed.
 
     Args:
-        conv: The layer whose weights are used; degree 1, and one radial function if its edges are
-            neighbour lists (their weights are ordered differently from those of complete edges).
+        conv: The layer whose weights are used; degree 1.
     """
 
     def __init__(self, conv: SteerableConv) -> None:
@@ -124,8 +123,6 @@ class PerEdgeConv(nn.Module):
         else:
             batch = scalars.shape[0]
             factors = edges.weights.permute(0, 3, 1, 2, 4)  # (M, B R, K, Q, 1)
-            if factors.shape[3] != 1:
-                raise ValueError(f"neighbour lists need 1 radial function, got {factors.shape[3]}")
             factors = factors.unflatten(1, (batch, -1))
             index = edges.index.t().reshape(batch, -1, edges.index.shape[0])  # (B, R, K)
             scalars = scalars.flatten(0, 1)[index]

@@ -17,6 +17,7 @@ from maniskill_grpd.policies.encoded_policy import (
     equivariant_mean,
 )
 from maniskill_grpd.policies.layers import (
+    CompleteEdges,
     EdgeGeometry,
     EquivariantUpdate,
     LocalNeighborhood,
@@ -26,6 +27,8 @@ from maniskill_grpd.policies.layers import (
     SteerableConv,
 )
 from maniskill_grpd.policies.options import late_option
+
+Edges = CompleteEdges | NeighborEdges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +144,7 @@ class EMPNEncoder(nn.Module):
 
     def _connect(
         self, nodes: Mapping[str, torch.Tensor], neighbors: torch.Tensor
-    ) -> tuple[NeighborEdges, NeighborEdges]:
+    ) -> tuple[Edges, Edges]:
         """Edges to objects and to actuators; lists of different length, otherwise alike."""
         local = LocalNeighborhood.find(
             nodes["position"], nodes["mask"], neighbors, self.num_nearest
@@ -175,6 +178,6 @@ class _HomogeneousRound(nn.Module):
             *dims, message_dim=dims[0], normalize_vectors=options.normalize_vectors
         )
 
-    def forward(self, features: Features, edges: tuple[NeighborEdges, NeighborEdges]) -> Features:
+    def forward(self, features: Features, edges: tuple[Edges, Edges]) -> Features:
         scalars, vectors = zip(*(self.conv(*features, part) for part in edges), strict=True)
         return self.update(*features, torch.cat(scalars, dim=1), torch.cat(vectors, dim=2))

@@ -6,7 +6,13 @@ import pytest
 import torch
 from random_graphs import rotation_from_quaternion
 
-from maniskill_grpd.policies.layers import EdgeGeometry, EquivariantUpdate, SteerableConv
+from maniskill_grpd.policies.layers import (
+    CompleteEdges,
+    EdgeGeometry,
+    EquivariantUpdate,
+    NeighborEdges,
+    SteerableConv,
+)
 
 BATCH, SENDERS, RECEIVERS, SCALARS, VECTORS = 2, 6, 3, 5, 4
 CUTOFF, SOFTENING = 0.5, 0.1
@@ -16,7 +22,7 @@ def normal(*shape):
     return torch.randn(*shape, dtype=torch.float64)
 
 
-def message_by_message(conv, geometry, scalars, vectors, senders, receivers, weights, by_radial):
+def message_by_message(conv, geometry, scalars, vectors, senders, receivers, weights):
     """Messages of eq. 2 and 6, edge by edge, in Cartesian form.
 
     Args:
@@ -27,7 +33,6 @@ def message_by_message(conv, geometry, scalars, vectors, senders, receivers, wei
         senders: Positions (B, S, 3).
         receivers: Positions (B, R, 3).
         weights: How many edges there are, (B, R, S).
-        by_radial: Order of the contracted channels: by radial function, then path, or reverse.
     """
     batch, num_receivers, num_senders = weights.shape
     num_radial = geometry.basis.num_basis
@@ -62,18 +67,17 @@ def message_by_message(conv, geometry, scalars, vectors, senders, receivers, wei
                     total_v[3] += weight * 15**0.5 * traceless @ v
             for path, total in zip(paths_s + paths_v, total_s + total_v, strict=True):
                 path.append(total)
-        out_s.append(conv.to_scalars(join(paths_s, by_radial)))
-        out_v.append(conv.to_vectors(join(paths_v, by_radial)))
+        out_s.append(conv.to_scalars(join(paths_s)))
+        out_v.append(conv.to_vectors(join(paths_v)))
     shape = (batch, num_receivers)
     s = torch.stack(out_s).view(*shape, -1)
     v = torch.stack(out_v, dim=1).view(3, *shape, -1)
     return s, v
 
 
-def join(paths, by_radial):
+def join(paths):
     """Channels of all paths, each a list over radial functions."""
-    groups = zip(*paths, strict=True) if by_radial else paths
-    return torch.cat([channel for group in groups for channel in group], dim=-1)
+    return torch.cat([channel for path in paths for channel in path], dim=-1)
 
 
 @pytest.mark.parametrize("max_degree", [1, 2])
@@ -89,9 +93,7 @@ def test_complete_edges_match_message_by_message(max_degree, num_radial):
     edges = geometry.complete(senders.movedim(-1, 0), mask, receivers.movedim(-1, 0))
     actual = conv(scalars, vectors, edges)
     weights = mask[:, None].expand(BATCH, RECEIVERS, SENDERS)
-    expected = message_by_message(
-        conv, geometry, scalars, vectors, senders, receivers, weights, by_radial=False
-    )
+    expected = message_by_message(conv, geometry, scalars, vectors, senders, receivers, weights)
     for a, e in zip(actual, expected, strict=True):
         torch.testing.assert_close(a, e)
 
@@ -110,8 +112,9 @@ def test_excluding_self_leaves_out_the_diagonal():
 
 @pytest.mark.parametrize(("edge_degree", "max_degree"), [(1, 1), (2, 1), (2, 2)])
 @pytest.mark.parametrize("num_radial", [1, 3])
-def test_neighbor_edges_match_message_by_message(num_radial, edge_degree, max_degree):
-    """Neighbour lists with gaps and repetitions, and masked nodes."""
+@pytest.mark.parametrize("form", ["neighbor_lists", "neighbor_matrix"])
+def test_neighbor_edges_match_message_by_message(form, num_radial, edge_degree, max_degree):
+    """Neighbours with gaps and repetitions, and masked nodes, in either form."""
     geometry = EdgeGeometry(num_radial, edge_degree, CUTOFF, SOFTENING)
     conv = SteerableConv(SCALARS, VECTORS, num_radial=num_radial, max_degree=max_degree).double()
     scalars, vectors = normal(BATCH, SENDERS, SCALARS), normal(3, BATCH, SENDERS, VECTORS)
@@ -119,32 +122,32 @@ def test_neighbor_edges_match_message_by_message(num_radial, edge_degree, max_de
     mask = torch.ones(BATCH, SENDERS, dtype=torch.bool)
     mask[1, 2] = False
     neighbors = torch.randint(-1, SENDERS, (BATCH, SENDERS, 3))
-    edges = geometry.neighbors(position.movedim(-1, 0), mask, neighbors)
+    edges = getattr(geometry, form)(position.movedim(-1, 0), mask, neighbors)
     actual = conv(scalars, vectors, edges)
     weights = torch.zeros(BATCH, SENDERS, SENDERS)
     for b, r, k in itertools.product(range(BATCH), range(SENDERS), range(3)):
         s = int(neighbors[b, r, k])
         if s >= 0 and mask[b, s]:
             weights[b, r, s] += 1
-    expected = message_by_message(
-        conv, geometry, scalars, vectors, position, position, weights, by_radial=True
-    )
+    expected = message_by_message(conv, geometry, scalars, vectors, position, position, weights)
     for a, e in zip(actual, expected, strict=True):
         torch.testing.assert_close(a, e)
 
 
-def test_receivers_apart_from_senders_hear_the_same():
+@pytest.mark.parametrize("form", ["neighbor_lists", "neighbor_matrix"])
+def test_receivers_apart_from_senders_hear_the_same(form):
     """Some nodes as receivers of their own lists get what they get among all; envelopes weigh."""
     geometry = EdgeGeometry(2, 1, CUTOFF, SOFTENING)
+    connect = getattr(geometry, form)
     conv = SteerableConv(SCALARS, VECTORS, num_radial=2).double()
     features = normal(BATCH, SENDERS, SCALARS), normal(3, BATCH, SENDERS, VECTORS)
     position = normal(3, BATCH, SENDERS)
     mask = torch.ones(BATCH, SENDERS, dtype=torch.bool)
     neighbors = torch.randint(-1, SENDERS, (BATCH, SENDERS, 3))
-    scalars, vectors = conv(*features, geometry.neighbors(position, mask, neighbors))
+    scalars, vectors = conv(*features, connect(position, mask, neighbors))
     chosen = torch.tensor([4, 1])
     envelope = torch.ones(BATCH, 2, 3, dtype=torch.float64)
-    edges = geometry.neighbors(
+    edges = connect(
         position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
     )
     some_scalars, some_vectors = conv(*features, edges)
@@ -154,13 +157,22 @@ def test_receivers_apart_from_senders_hear_the_same():
     alone = neighbors.clone()
     alone[:, :, 1:] = -1
     # The floor of the normalisation counts at least one edge: a weight of zero is no edge.
-    edges = geometry.neighbors(
+    edges = connect(
         position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
     )
     faded = conv(*features, edges)
-    pruned = conv(*features, geometry.neighbors(position, mask, alone))
+    pruned = conv(*features, connect(position, mask, alone))
     torch.testing.assert_close(faded[0], pruned[0][:, chosen])
     torch.testing.assert_close(faded[1], pruned[1][:, :, chosen])
+
+
+def test_small_graphs_become_matrices():
+    """The form follows the number of senders per listed neighbour."""
+    geometry = EdgeGeometry(2, 1, CUTOFF, SOFTENING)
+    for count, form in ((36, CompleteEdges), (37, NeighborEdges)):
+        mask = torch.ones(BATCH, count, dtype=torch.bool)
+        neighbors = torch.randint(-1, count, (BATCH, count, 3))
+        assert isinstance(geometry.neighbors(normal(3, BATCH, count), mask, neighbors), form)
 
 
 @pytest.mark.parametrize("normalize", [False, True])

@@ -29,7 +29,8 @@ class SteerableConv(nn.Module):
         vectors <- M1 s,  M0 v,  M1 x v,  M2 v   (the last with max_degree 2)
 
     Complete edges form all moments as a matrix product per graph. Neighbour lists are short, so
-    there only those products that survive the contraction are formed, elementwise.
+    there only those products that survive the contraction are formed, elementwise. Both give the
+    same messages for the same edges.
 
     Shapes:
         scalars (B, S, C), vectors (3, B, S, D) -> scalars (B, R, C_out), vectors (3, B, R, D_out)
@@ -97,7 +98,7 @@ class SteerableConv(nn.Module):
     def _neighbors(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: NeighborEdges
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
-        """As `_complete`; each entry is (B, R, F), one set per radial function."""
+        """As `_complete`; each entry is (B, R, F), the radial functions of a kind in a row."""
         batch = scalars.shape[0]
         shape = (batch, edges.index.shape[1] // batch, -1)
         still = edges.gather(scalars.unsqueeze(0))
@@ -105,11 +106,11 @@ class SteerableConv(nn.Module):
         moved = edges.gather(vectors)
         count = len(still)
         x, y, z = moved[:count], moved[count : 2 * count], moved[2 * count :]
-        invariant, paths = [], []
+        invariants, paths = [], []
         for weights in edges.weights.unbind(2):
             one, px, py, pz = (harmonic.unbind(0) for harmonic in weights[:4].unbind(0))
-            invariant += [_sum((one, still)), _sum((px, x), (py, y), (pz, z))]
-            paths += [
+            invariants.append([_sum((one, still)), _sum((px, x), (py, y), (pz, z))])
+            kinds = [
                 [_sum((p, directed)) for p in (px, py, pz)],
                 [_sum((one, v)) for v in (x, y, z)],
                 [
@@ -120,9 +121,12 @@ class SteerableConv(nn.Module):
             ]
             if self.max_degree == 2:
                 rows = _traceless(weights)
-                paths.append([_sum(*zip(row, (x, y, z), strict=True)) for row in rows])
-        paths = [[component.view(shape) for component in path] for path in paths]
-        return [entry.view(shape) for entry in invariant], paths
+                kinds.append([_sum(*zip(row, (x, y, z), strict=True)) for row in rows])
+            paths.append(kinds)
+        return (
+            [entry.view(shape) for kind in zip(*invariants, strict=True) for entry in kind],
+            [[c.view(shape) for c in path] for kind in zip(*paths, strict=True) for path in kind],
+        )
 
 
 def _traceless(weights: torch.Tensor) -> list[list[Sequence[torch.Tensor]]]:
