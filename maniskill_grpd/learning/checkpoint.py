@@ -12,7 +12,11 @@ from typing import Any
 import torch
 
 FORMAT = "maniskill_grpd.checkpoint"
-VERSION = 1
+VERSION = 2
+"""Version 1 ordered the weights of convolutions along mesh edges by radial function, then path; now the paths come first, as for
+all other edges. With one radial function the orders are the same, and version 1 is read."""
+_MESH_RADIAL = {"grpd": "num_local_radial", "empn": "num_radial"}
+"""Option that counts the radial functions along mesh edges, by policy."""
 
 _KEYS = {
     "policy": "what rebuilds the policy: its `config`, plain types",
@@ -107,15 +111,27 @@ def load_checkpoint(
         raise CheckpointError(unreadable) from error
     if not isinstance(contents, dict) or contents.get("format") != FORMAT:
         raise CheckpointError(f"{path} was written by another program, not by maniskill_grpd")
-    if contents.get("version") != VERSION:
+    version = contents.get("version")
+    if version not in (1, VERSION):
         raise CheckpointError(
-            f"{path} has checkpoint version {contents.get('version')}, this package reads {VERSION}"
+            f"{path} has checkpoint version {version}, this package reads 1 and {VERSION}"
         )
     contents = {**_LATER_KEYS, **contents}
     missing = sorted(set(_KEYS) - set(contents))
     if missing:
         raise CheckpointError(f"{path} lacks {', '.join(missing)}")
+    if version == 1 and _has_radial_order(contents["policy"]):
+        raise CheckpointError(
+            f"{path} has checkpoint version 1, whose weights along mesh edges are in another order "
+            f"for {contents['policy']['name']} with several radial functions; train it again"
+        )
     return {key: contents[key] for key in _KEYS}
+
+
+def _has_radial_order(policy: dict[str, Any]) -> bool:
+    """Return whether the order of weights in version 1 matters to a policy, given its config."""
+    option = _MESH_RADIAL.get(policy.get("name", ""))
+    return option is not None and policy["options"][option] > 1
 
 
 def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:

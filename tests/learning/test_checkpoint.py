@@ -100,6 +100,26 @@ def test_other_version(tmp_path, monkeypatch):
         load_checkpoint(tmp_path / "a.pt")
 
 
+@pytest.mark.parametrize(("name", "options", "is_read"), [
+    ("grpd", {"num_radial": 6, "num_local_radial": 1}, True),
+    ("grpd", {"num_radial": 6, "num_local_radial": 2}, False),
+    ("empn", {"num_radial": 2}, False),
+    ("transformer", {}, True),
+])  # fmt: skip
+def test_version_1_is_read_where_its_order_of_weights_is_the_same(
+    name, options, is_read, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("maniskill_grpd.learning.checkpoint.VERSION", 1)
+    config = {"name": name, "options": options}
+    save_checkpoint(tmp_path / "a.pt", {**contents(), "policy": config})
+    monkeypatch.undo()
+    if is_read:
+        assert load_checkpoint(tmp_path / "a.pt")["policy"] == config
+        return
+    with pytest.raises(CheckpointError, match=f"another order for {name}"):
+        load_checkpoint(tmp_path / "a.pt")
+
+
 def test_a_policy_with_other_options_is_refused_by_name(tmp_path):
     save_checkpoint(tmp_path / "a.pt", contents(policy=ToyPolicy(hidden_dim=8)))
     loaded = load_checkpoint(tmp_path / "a.pt")
