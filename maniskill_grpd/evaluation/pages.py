@@ -65,7 +65,7 @@ def write_summary_page(folder: Path, budget: int | None = None) -> Path:
         findings = [(claim, data.finding(claim)) for claim in study.claims]
         verdicts = Counter(finding.verdict for _, finding in findings)
         states = Counter(results.state(run) for task in study.tasks for run in data.runs(task))
-        budgets = sorted({budget for task in study.tasks if (budget := data.budget(task))})
+        budgets = sorted({data.budget(task) for task in study.tasks} - {None})
         counts = [states["finished"], states["failed"], *(verdicts[verdict] for verdict in VERDICTS)]
         steps = ", ".join(f"{budget:,}" for budget in budgets) or "-"
         studies.append([f"[{study.name}]({study.name}.md)", study.title, steps, *map(str, counts)])
