@@ -37,6 +37,11 @@ class ExpertEvalConfig:
     json: Path | None = None
     """also write the results, per episode, to this file"""
 
+    def __post_init__(self) -> None:
+        for name in ("num_episodes", "num_envs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
 
 class ExpertActor:
     """An expert that is asked as a policy is; it looks at the simulation and not at the graph."""

@@ -53,7 +53,7 @@ class LocalLauncher(Launcher):
 
     def launch(self, jobs: Sequence[Job]) -> None:
         """See `Launcher`."""
-        self._futures = [(job, self._pool.submit(run_job, job, self._start)) for job in jobs]
+        self._futures = [(job, self._pool.submit(run_job, job, self._start, lambda: self._is_stopping)) for job in jobs]
 
     def running(self) -> list[Job]:
         """See `Launcher`."""

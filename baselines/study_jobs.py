@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ from maniskill_grpd.learning.run_log import read_rows
 RUNS = Path("runs") / "ablate"
 """Folder of the runs of all studies; train.py puts them there because their names begin with "ablate/"."""
 SCRIPTS = Path(__file__).parent
+LOCK_POLL_SECONDS = 0.2
+"""How often a job looks whether the process that works at its run is done."""
 STOPPED = {130, -signal.SIGINT, -signal.SIGTERM}
 """Return codes of a script that was asked to stop, which is no failure."""
 
@@ -146,7 +149,7 @@ def check_options(job: Job) -> None:
         raise ValueError(f"{job.folder} was trained with other options ({'; '.join(differences)}); move it away")
 
 
-def run_job(job: Job, start: Start = subprocess.Popen) -> None:
+def run_job(job: Job, start: Start = subprocess.Popen, is_stopping: Callable[[], bool] = lambda: False) -> None:
     """Train and test what has not been; a failure is written to the folder of the run.
 
     A job that another process works at is waited for, so that two studies may share runs.
@@ -154,8 +157,11 @@ def run_job(job: Job, start: Start = subprocess.Popen) -> None:
     Args:
         job: The job.
         start: Starts a script, as `subprocess.Popen` does.
+        is_stopping: Whether to give up waiting for the other process.
     """
-    with hold_lock(job) as lock:
+    with hold_lock(job, is_stopping) as lock:
+        if lock is None:
+            return
         if not job.is_trained and job.trains and not run_script(job, "train.py", train_arguments(job), start, lock):
             return
         if job.is_trained and not job.is_tested:
@@ -206,13 +212,26 @@ def first_error(job: Job) -> str:
 
 
 @contextlib.contextmanager
-def hold_lock(job: Job) -> Iterator[int]:
+def hold_lock(job: Job, is_stopping: Callable[[], bool] = lambda: False) -> Iterator[int | None]:
     """Wait until nobody else works at a run, then keep others away; yields the descriptor of the lock.
 
-    The lock ends when every process that holds the descriptor has ended, however it ends.
+    The lock ends when every process that holds the descriptor has ended, however it ends. Yields None if `is_stopping` came
+    true while another process held it.
     """
     folder = RUNS / ".locks"
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / job.run.name).open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        while not _try_lock(file.fileno()):
+            if is_stopping():
+                yield None
+                return
+            time.sleep(LOCK_POLL_SECONDS)
         yield file.fileno()
+
+
+def _try_lock(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -191,6 +191,16 @@ def test_two_processes_do_not_work_at_the_same_run(folder):
     assert started.is_set()
 
 
+def test_stopping_does_not_wait_for_a_run_of_another_study(folder):
+    launcher = launchers.LocalLauncher(1)
+    with study_jobs.hold_lock(toy_job()):
+        launcher.launch([toy_job()])
+        wait_for(launcher.running)
+        launcher.stop()
+        assert launcher.is_done()
+    assert not launcher._processes
+
+
 def test_stopping_ends_the_scripts_and_is_no_failure(folder):
     launcher = launchers.LocalLauncher(1)
     sleeper = [sys.executable, "-c", "import time; time.sleep(600)"]
@@ -264,5 +274,7 @@ def test_an_expert_is_played_as_policies_are(folder, capsys):
     assert result["env_kwargs"] == {"graph_nodes": 21}
     assert result["mean"]["success_at_end"] > 0.5
     assert len(result["episodes"]["success_at_end"]) == 3
+    assert evaluate_expert.main(["--num_episodes", "0"]) == 1
+    assert "error: num_episodes must be positive, got 0" in capsys.readouterr().err
     assert evaluate_expert.main(["--env_kwargs", "num_grippers=9"]) == 1
     assert "error: num_grippers must be one of" in capsys.readouterr().err
