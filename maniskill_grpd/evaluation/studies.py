@@ -281,7 +281,7 @@ COST = Study(
     metrics=("iteration_seconds", "update_seconds"),
     plots=("lines",),
     factor="resolution",
-    budget=2000,
+    budget=1200,
     train_options={"num_envs": 8, "num_steps": 50, "num_minibatches": 8, "update_epochs": 1, "eval_freq": 0},
     claims=(
         _takes("At most 1.2 times the time of EMPN", "III.G", "1.2x", Side("grpd", _SIZES[200].name),

@@ -274,7 +274,8 @@ def test_an_expert_is_played_as_policies_are(folder, capsys):
     assert result["env_kwargs"] == {"graph_nodes": 21}
     assert result["mean"]["success_at_end"] > 0.5
     assert len(result["episodes"]["success_at_end"]) == 3
-    assert evaluate_expert.main(["--num_episodes", "0"]) == 1
-    assert "error: num_episodes must be positive, got 0" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        evaluate_expert.main(["--num_episodes", "0"])
+    assert "num_episodes must be positive, got 0" in capsys.readouterr().err
     assert evaluate_expert.main(["--env_kwargs", "num_grippers=9"]) == 1
     assert "error: num_grippers must be one of" in capsys.readouterr().err
