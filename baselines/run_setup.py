@@ -128,9 +128,7 @@ def write_run_record(
         "command": sys.argv,
         "num_processes": num_processes,
         "device": str(device),
-        "device_name": torch.cuda.get_device_name(device)
-        if device.type == "cuda"
-        else platform.processor(),
+        "device_name": torch.cuda.get_device_name(device) if device.type == "cuda" else processor_name(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "versions": {"maniskill_grpd": maniskill_grpd.__version__, **_package_versions()},
@@ -138,6 +136,14 @@ def write_run_record(
     }
     run_dir.mkdir(parents=True, exist_ok=True)
     (run_dir / "config.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def processor_name() -> str:
+    """Return the processor's name and the vector instructions PyTorch uses on it, on which speed and rounding depend."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return f"{names[0] if names else platform.processor()} ({torch.backends.cpu.get_cpu_capability()})"
 
 
 def read_run_config(run_dir: Path) -> TrainConfig:

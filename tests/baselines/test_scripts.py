@@ -50,6 +50,8 @@ def test_training_leaves_a_complete_folder(run_dir):
     record = json.loads((run_dir / "config.json").read_text())
     assert record["config"]["env_id"] == "RopeShaping-v1"
     assert record["versions"]["torch"].startswith(torch.__version__.split("+")[0])
+    if not torch.cuda.is_available():
+        assert torch.backends.cpu.get_cpu_capability() in record["device_name"]
     assert len(read_rows(run_dir / "metrics.jsonl", "eval")) == 4
 
 
