@@ -99,7 +99,7 @@ class Claim:
         if self.measure == "ratio":
             return f"{value:.2f}x"
         unit = " points" if self.measure == "difference" else " %"
-        return f"{100 * value:+.0f}{unit}"
+        return f"{100 * value:+,.0f}{unit}"
 
 
 @dataclass(frozen=True)
