@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 
 from maniskill_grpd.evaluation.curves import efficiency_band
 from maniskill_grpd.evaluation.metrics import METRICS
@@ -43,9 +44,10 @@ def plot_bars(data: StudyData) -> Figure | None:
             axis.bar(places, middles, width, color=COLORS[index], label=arm.name)
             axis.vlines(places, lows, highs, color="black", lw=1.0)
         _draw_expert(axis, data, task, metric)
+        axis.set_xlim(-0.5, len(names) - 0.5)  # also where some arms have not been run
         axis.set_xticks(range(len(names)), names, **({"rotation": 20, "ha": "right"} if len(names) > 1 else {}))
         _finish(axis, task.name, "", metric)
-    return _with_legend(figure, axes[0])
+    return _with_legend(figure)
 
 
 def plot_curves(data: StudyData) -> Figure | None:
@@ -60,8 +62,9 @@ def plot_curves(data: StudyData) -> Figure | None:
             for index, arm in enumerate(study.arms):
                 _draw_band(axis, data, task, arm, metric, COLORS[index])
             _draw_expert(axis, data, task, metric)
+            axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 50k, 1M
             _finish(axis, task.name if row == 0 else "", "environment steps", metric)
-    return _with_legend(figure, axes[0])
+    return _with_legend(figure)
 
 
 def plot_profile(data: StudyData) -> Figure | None:
@@ -77,7 +80,7 @@ def plot_profile(data: StudyData) -> Figure | None:
     axis.set_ylim(-0.02, 1.02)
     _finish(axis, "all tasks", "success > threshold", "success_at_end")
     axis.set_ylabel("share of runs")
-    return _with_legend(figure, axis)
+    return _with_legend(figure)
 
 
 def plot_lines(data: StudyData) -> Figure | None:
@@ -98,7 +101,7 @@ def plot_lines(data: StudyData) -> Figure | None:
         _draw_expert(axis, data, points[0][0], metric)
         axis.set_xticks(places, [f"{value}" for value in values], rotation=30)
         _finish(axis, env_id, study.factor, metric)
-    return _with_legend(figure, axes[0])
+    return _with_legend(figure)
 
 
 def plot_heat_map(data: StudyData) -> Figure | None:
@@ -210,8 +213,13 @@ def _finish(axis: Axes, title: str, xlabel: str, metric: str) -> None:
         axis.set_yscale("log")
 
 
-def _with_legend(figure: Figure, axis: Axes) -> Figure:
-    handles, labels = axis.get_legend_handles_labels()
+def _with_legend(figure: Figure) -> Figure:
+    """Name what is drawn in any of the panels, once, below them."""
+    handles_of: dict[str, Any] = {}
+    for axis in figure.axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles_of.setdefault(label, handle)
+    labels, handles = list(handles_of), list(handles_of.values())
     columns = min(len(labels), int(figure.get_figwidth() / 1.2))  # a name takes a bit more than an inch
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
     return figure
