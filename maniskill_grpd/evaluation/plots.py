@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
+from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from maniskill_grpd.evaluation.curves import efficiency_band
 from maniskill_grpd.evaluation.metrics import METRICS
@@ -211,6 +211,9 @@ def _finish(axis: Axes, title: str, xlabel: str, metric: str) -> None:
     axis.spines[["top", "right"]].set_visible(False)
     if METRICS[metric].is_time:
         axis.set_yscale("log")
+        axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.yaxis.set_major_formatter("{x:g}")
+        axis.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _with_legend(figure: Figure) -> Figure:
