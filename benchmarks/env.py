@@ -20,7 +20,7 @@ from pathlib import Path
 import gymnasium as gym
 import mani_skill.envs  # noqa: F401  (registers PickCube-v1)
 import torch
-from machine import describe_machine
+from machine import describe_machine, machine_line
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.registration import register_env
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
@@ -132,7 +132,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps([{**row, "machine": describe_machine()} for row in rows], indent=1) + "\n")
     if arguments.markdown:
         command = "python benchmarks/env.py" + (" --quick" if arguments.quick else "")
-        place = ", ".join(f"{key} {value}" for key, value in describe_machine().items())
+        place = machine_line(describe_machine())
         arguments.markdown.write_text(f"# Environment throughput\n\n`{command}` on: {place}.\n\n{table}")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import time
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -23,6 +24,11 @@ def describe_machine(device: str = "cpu") -> dict[str, str | int]:
     if device == "cuda":
         machine["gpu"] = torch.cuda.get_device_name()
     return machine | {package: installed_version(package) for package in ("torch", "warp-lang", "newton")}
+
+
+def machine_line(machine: Mapping[str, str | int]) -> str:
+    """Return what `describe_machine` says as part of a sentence."""
+    return ", ".join(f"{key} {value}" for key, value in machine.items())
 
 
 def num_cores() -> int:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from machine import describe_machine, measure_peaks
+from machine import describe_machine, machine_line, measure_peaks
 from physics_cost import count_work
 
 from maniskill_grpd.physics import Model, Solver, cloth, rope, square_outline
@@ -342,7 +342,8 @@ def main() -> None:
             arguments.json.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n")
     if arguments.markdown:
         command = "python " + " ".join(["benchmarks/physics.py", *sys.argv[1:]])
-        text = f"# Physics throughput\n\n`{command}` on {machine}\n\n{__doc__.split(chr(10) * 2)[2]}\n\n{to_markdown(rows)}\n"
+        head = f"# Physics throughput\n\n`{command}` on: {machine_line(machine)}.\n\n"
+        text = f"{head}{__doc__.split(chr(10) * 2)[2]}\n\n{to_markdown(rows)}\n"
         arguments.markdown.write_text(text + "## What bounds it\n\n" + bound_text(rows, measure_peaks()))
 
 

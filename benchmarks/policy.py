@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from machine import describe_machine
+from machine import describe_machine, machine_line
 from torch import nn
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
@@ -475,7 +475,7 @@ def main() -> None:
     if arguments.markdown:
         command = "python benchmarks/policy.py" + (" --quick" if arguments.quick else "")
         command += "" if arguments.device == "cpu" else f" --device {arguments.device}"
-        arguments.markdown.write_text(f"# Cost of policies\n\n`{command}` on {where}\n\n{tables}")
+        arguments.markdown.write_text(f"# Cost of policies\n\n`{command}` on: {machine_line(where)}.\n\n{tables}")
 
 
 if __name__ == "__main__":

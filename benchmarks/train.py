@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from machine import describe_machine
+from machine import describe_machine, machine_line
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "baselines"), str(ROOT / "examples")]
@@ -214,7 +214,7 @@ def main(arguments: Sequence[str]) -> None:
         options.json.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n")
     if options.markdown:
         command = " ".join(["python benchmarks/train.py", *arguments])
-        place = ", ".join(f"{key} {value}" for key, value in machine.items())
+        place = machine_line(machine)
         options.markdown.write_text(
             f"# Training throughput\n\n`{command}` on: {place}. Measured {time.strftime('%Y-%m-%d')}.\n\n{table}"
         )
