@@ -50,9 +50,9 @@ class StudyData:
         runs = self.runs(task)
         return runs[0].budget if runs else None
 
-    def seeds(self, task: Task) -> tuple[int, int]:
-        """Return the smallest and the largest number of finished runs of an arm on a task."""
-        counts = [len(self.finished(task, arm)) for arm in self.study.arms]
+    def seeds(self, task: Task, condition: str, metric: str) -> tuple[int, int]:
+        """Return the smallest and the largest number of seeds of an arm that have a score on a task under a condition."""
+        counts = [len(self.scores(task, arm, condition, metric)) for arm in self.study.arms]
         return min(counts), max(counts)
 
     def finished(self, task: Task, arm: Arm) -> list[Run]:

@@ -27,7 +27,7 @@ def score_table(data: StudyData, metric: str) -> str:
     for task in data.study.tasks:
         for condition in conditions_of(task):
             cells = [score_cell(data, task, arm, condition.name, metric) for arm in arms]
-            rows.append([task.name, condition.name, _budget(data, task), _seeds(data, task), *cells])
+            rows.append([task.name, condition.name, _budget(data, task), _seeds(data, task, condition.name, metric), *cells])
     pooled = [data.pooled(arm, metric) for arm in arms]
     if len(data.study.tasks) > 1 and all(pooled) and not METRICS[metric].is_time:
         cells = [format_summary(summarize(strata), METRICS[metric].decimals) for strata in pooled]
@@ -93,6 +93,6 @@ def _budget(data: StudyData, task: Task) -> str:
     return NOT_RUN if budget is None else f"{budget:,}"
 
 
-def _seeds(data: StudyData, task: Task) -> str:
-    low, high = data.seeds(task)
+def _seeds(data: StudyData, task: Task, condition: str, metric: str) -> str:
+    low, high = data.seeds(task, condition, metric)
     return str(low) if low == high else f"{low} to {high}"

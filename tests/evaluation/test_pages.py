@@ -63,6 +63,13 @@ def test_what_has_not_been_run_is_said_to_be_so():
     assert data.finding(STUDY.claims[0]).verdict == "not run"
 
 
+def test_seeds_are_those_that_were_tested_under_the_condition():
+    scores = {run_of(EASY, arm, seed): {"as trained": 1.0} for arm in (OURS, THEIRS) for seed in SEEDS}
+    scores[run_of(EASY, OURS, SEEDS[0])]["sigma=0.1"] = 1.0
+    rows = rows_of(score_table(StudyData(STUDY, results_of(scores)), "return"))
+    assert [row[3] for row in rows[2:4]] == ["3", "0 to 1"]
+
+
 def test_only_runs_of_one_budget_are_compared_by_default_the_largest():
     scores = {run_of(EASY, OURS, 1, 1000): {"as trained": 1.0}, run_of(EASY, OURS, 1, 2000): {"as trained": 2.0},
               run_of(EASY, THEIRS, 1, 1000): {"as trained": 3.0}}  # fmt: skip
