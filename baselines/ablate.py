@@ -29,7 +29,7 @@ from study_jobs import RUNS, Job, first_error, make_expert_jobs, make_jobs
 from maniskill_grpd.evaluation import STUDIES, Study, find_study
 from maniskill_grpd.evaluation.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
 from maniskill_grpd.evaluation.results import save_runs
-from maniskill_grpd.learning.config import parse_options
+from maniskill_grpd.learning.config import parse_options, require_positive
 
 POLL_SECONDS = 0.5
 DEFAULT_BUDGET = 1_000_000
@@ -70,10 +70,8 @@ class AblateConfig:
     """folder of the pages; its folder `data` holds the CSV files"""
 
     def __post_init__(self) -> None:
-        for name in ("budget", "seeds", "num_episodes", "jobs"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} must be positive, got {value}")
+        given = [name for name in ("budget", "seeds", "num_episodes", "jobs") if getattr(self, name) is not None]
+        require_positive(self, *given)
         parse_options("train_options", self.train_options)
         parse_options("slurm", self.slurm)
 

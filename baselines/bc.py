@@ -33,6 +33,7 @@ from turned_scene import TurnedScene
 
 from maniskill_grpd.experts import make_expert
 from maniskill_grpd.learning import CheckpointError, TrainConfig, evaluate_policy, save_checkpoint
+from maniskill_grpd.learning.config import require_positive
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.policies import ActionDistribution, Policy, make_policy
 
@@ -94,9 +95,7 @@ class BCConfig:
     """also write the table of results to this file"""
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_steps", "epochs", "batch_size", "torch_threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        require_positive(self, "num_episodes", "num_steps", "epochs", "batch_size", "torch_threads")
         if not 0.0 < self.validation_share < 1.0:
             raise ValueError(f"validation_share must be in (0, 1), got {self.validation_share}")
         if any(pair.startswith("pose_range=") for pair in self.env_kwargs):

@@ -8,12 +8,13 @@ from study_jobs import Job
 
 from maniskill_grpd.learning.run_log import read_rows
 
-STEPS_PER_SECOND = {"grpd": 850.0, "empn": 280.0, "hetero_gnn": 850.0, "transformer": 480.0}
-"""Environment steps per second of processor time, by policy: RopeShaping-v1, `REFERENCE_NODES` nodes seen, one 2.5 GHz core."""
+STEPS_PER_SECOND = {"grpd": 430.0, "empn": 150.0, "hetero_gnn": 470.0, "transformer": 245.0}
+"""Environment steps per second, by policy: RopeShaping-v1, `REFERENCE_NODES` nodes seen, one of two busy cores of an AMD EPYC
+without AVX-512; with it about twice as many."""
 REFERENCE_NODES = 21
-START_SECONDS = 6.0
+START_SECONDS = 11.0
 """Start of a training or of tests."""
-TEST_SECONDS = 0.06
+TEST_SECONDS = 0.1
 """An episode of a test."""
 
 
@@ -42,11 +43,13 @@ def _seconds_left(job: Job, rate: float | None) -> float:
 
 
 def measured_rate(job: Job) -> float | None:
-    """Return environment steps per second of a training that has begun; None if it has not."""
-    rows = read_rows(job.folder / "metrics.jsonl", "train")
+    """Return environment steps per second of a training that has begun, evaluations included; None if it has not."""
+    metrics = job.folder / "metrics.jsonl"
+    rows = read_rows(metrics, "train")
     if not rows:
         return None
     seconds = sum(row["time/rollout_time"] + row["time/update_time"] for row in rows)
+    seconds += sum(row["time/eval_time"] for row in read_rows(metrics, "eval"))
     return len(rows) * job.run.train_config().batch_size / seconds
 
 

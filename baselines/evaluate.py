@@ -23,6 +23,7 @@ from run_setup import check_schema, describe_episodes, load_policy, make_env
 
 from maniskill_grpd.evaluation import NoisyObserver
 from maniskill_grpd.learning import CheckpointError, TrainConfig, evaluate_policy
+from maniskill_grpd.learning.config import require_positive
 from maniskill_grpd.policies import Policy
 
 
@@ -58,9 +59,7 @@ class EvalConfig:
     """also write a page about the checkpoint, with these results, to this file"""
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_envs", "torch_threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        require_positive(self, "num_episodes", "num_envs", "torch_threads")
         if not self.sigma >= 0.0:
             raise ValueError(f"sigma must not be negative, got {self.sigma}")
 

@@ -18,6 +18,7 @@ from run_setup import describe_episodes, make_env
 
 from maniskill_grpd.experts import Expert, make_expert
 from maniskill_grpd.learning import TrainConfig, evaluate_policy
+from maniskill_grpd.learning.config import require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +39,7 @@ class ExpertEvalConfig:
     """also write the results, per episode, to this file"""
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_envs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        require_positive(self, "num_episodes", "num_envs")
 
 
 class ExpertActor:

@@ -21,7 +21,7 @@ from mani_skill.utils.wrappers import RecordEpisode
 from tqdm import tqdm
 
 from maniskill_grpd.experts import make_expert
-from maniskill_grpd.learning.config import parse_options
+from maniskill_grpd.learning.config import parse_options, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,7 @@ class RecordConfig:
     """where the simulation runs: auto (cuda if there is a GPU), cpu or cuda"""
 
     def __post_init__(self) -> None:
-        for name in ("num_episodes", "num_envs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        require_positive(self, "num_episodes", "num_envs")
 
 
 def record(config: RecordConfig) -> Path:

@@ -21,6 +21,7 @@ import maniskill_grpd  # registers the tasks
 from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoint
 from maniskill_grpd.learning.checkpoint import describe_differences
 from maniskill_grpd.policies import Policy, policy_from_config
+from maniskill_grpd.processor import processor_name
 
 _PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
 
@@ -136,14 +137,6 @@ def write_run_record(
     }
     run_dir.mkdir(parents=True, exist_ok=True)
     (run_dir / "config.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
-
-
-def processor_name() -> str:
-    """Return the processor's name and the vector instructions PyTorch uses on it, on which speed and rounding depend."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return f"{names[0] if names else platform.processor()} ({torch.backends.cpu.get_cpu_capability()})"
 
 
 def read_run_config(run_dir: Path) -> TrainConfig:

@@ -7,18 +7,16 @@ import platform
 import time
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 
 import torch
+
+from maniskill_grpd.processor import processor_name
 
 
 def describe_machine(device: str = "cpu") -> dict[str, str | int]:
     """Return processor, cores, load and versions."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text().splitlines() if info.exists() else []
-    names = [line.split(":")[1].strip() for line in lines if "model name" in line]
     machine: dict[str, str | int] = {
-        "cpu": names[0] if names else platform.processor(), "cores": os.cpu_count() or 1,
+        "cpu": processor_name(), "cores": os.cpu_count() or 1,
         "cores used": num_cores(), "load": f"{os.getloadavg()[0]:.1f}", "python": platform.python_version(),
     }  # fmt: skip
     if device == "cuda":

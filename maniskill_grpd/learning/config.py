@@ -285,10 +285,7 @@ class TrainConfig:
             "learning_rate num_minibatches update_epochs max_grad_norm mean_bound cov_bound "
             "gripper_bound clip_coef dual_step fisher_samples fisher_damping"
         )
-        for name in positive.split():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be positive, got {value}")
+        require_positive(self, *positive.split())
         if not 1.0 < self.max_multiplier < math.inf:
             raise ValueError(f"max_multiplier must be above 1, got {self.max_multiplier}")
         not_negative = (
@@ -355,6 +352,18 @@ def parse_options(name: str, pairs: tuple[str, ...]) -> dict[str, Any]:
         except json.JSONDecodeError:
             options[key] = text
     return options
+
+
+def require_positive(options: Any, *names: str) -> None:
+    """Refuse options that are not positive and finite.
+
+    Raises:
+        ValueError: Naming the first one.
+    """
+    for name in names:
+        value = getattr(options, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive, got {value}")
 
 
 def _nearest_divisor(number: int, wanted: int) -> int:
