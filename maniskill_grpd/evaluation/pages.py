@@ -29,7 +29,7 @@ READING = f"""\
 bootstrap, runs resampled within each task; *P(better)*: probability that a run of the first side scores more than one of the
 other. A claim holds or does not hold where the whole interval is on one side of what the claim needs: the right sign where it
 compares two arms, else the bound it names, or 85 % kept where the paper names none. With fewer than {MIN_RUNS} seeds, or an
-interval across that bound, it is undecided."""
+interval across that bound, it is undecided. Over all tasks each counts with as many seeds as the one that has the fewest."""
 
 
 def write_study_page(study: Study, folder: Path, budget: int | None = None) -> Path:

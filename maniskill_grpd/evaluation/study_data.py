@@ -84,9 +84,9 @@ class StudyData:
         return self.results.score(expert_run(task), metric, AS_TRAINED_NAME)
 
     def pooled(self, arm: Arm, metric: str) -> list[np.ndarray] | None:
-        """Return the scores of an arm under the first condition of every task; None if a task is missing."""
-        strata = [np.array(list(self.scores(task, arm, first_condition(task), metric).values())) for task in self.study.tasks]
-        return strata if all(len(stratum) for stratum in strata) else None
+        """Return the scores of an arm under the first condition of every task, balanced; None if a task is missing."""
+        strata = _balanced([self.scores(task, arm, first_condition(task), metric) for task in self.study.tasks])
+        return [np.array(list(scores.values())) for scores in strata] if all(strata) else None
 
     def finding(self, claim: Claim) -> Finding:
         """Compare a claim with the data."""
@@ -102,10 +102,10 @@ class StudyData:
         return judge(claim, *arrays, np.random.default_rng(BOOTSTRAP_SEED))
 
     def _side(self, side: Side, metric: str) -> list[dict[int, float]] | None:
-        """Return the scores by seed on each task of a side, averaged over its conditions; None if something is missing."""
+        """Return the scores by seed on each task of a side, averaged over its conditions, balanced; None if some are missing."""
         (arm,) = (arm for arm in self.study.arms if arm.name == side.arm)
         tasks = [task for task in self.study.tasks if side.task in (None, task.name)]
-        strata = [self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in tasks]
+        strata = _balanced([self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in tasks])
         return strata if all(strata) else None
 
     def _mean_scores(self, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> dict[int, float]:
@@ -130,6 +130,12 @@ def summarize(strata: Sequence[np.ndarray]) -> tuple[float, Interval] | None:
         return None
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     return float(interquartile_mean(np.concatenate(strata))), bootstrap_interval(strata, generator=generator)
+
+
+def _balanced(strata: Sequence[dict[int, float]]) -> list[dict[int, float]]:
+    """Keep of each task as many seeds, the lowest, as the task with the fewest has, or one with more would weigh more."""
+    count = min(len(scores) for scores in strata)
+    return [dict(sorted(scores.items())[:count]) for scores in strata]
 
 
 def _distinct(results: Results, column: str) -> list[int]:

@@ -46,6 +46,17 @@ def test_all_tasks_are_pooled_once_every_arm_has_run_on_them(results):
     assert rows[-1] == ["all tasks", "as trained", "", "", "30.0 [30.0, 30.0]", "30.0 [30.0, 30.0]"]
 
 
+def test_a_task_with_more_seeds_weighs_no_more_than_the_others():
+    scores = {run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
+              for task in (EASY, HARD) for arm in (OURS, THEIRS) for seed in SEEDS}  # fmt: skip
+    for seed in (4, 5, 6):
+        scores[run_of(EASY, OURS, seed)] = {"as trained": 50.0}
+    data = StudyData(STUDY, results_of(scores))
+    assert rows_of(score_table(data, "return"))[-1][-2:] == ["30.0 [30.0, 30.0]", "30.0 [30.0, 30.0]"]
+    assert data.summary(EASY, OURS, "as trained", "return")[0] == 50.0
+    assert data.finding(STUDY.claims[2]).value == pytest.approx(0.0)
+
+
 def test_claims_stand_beside_the_paper(results):
     data = StudyData(STUDY, results)
     rows = rows_of(claim_table((claim, data.finding(claim)) for claim in STUDY.claims))
