@@ -10,7 +10,7 @@ from maniskill_grpd.learning.run_log import read_rows
 
 STEPS_PER_SECOND = {"grpd": 430.0, "empn": 150.0, "hetero_gnn": 470.0, "transformer": 245.0}
 """Environment steps per second, by policy: RopeShaping-v1, `REFERENCE_NODES` nodes seen, one of two busy cores of an AMD EPYC
-without AVX-512; with it about twice as many."""
+without AVX-512; used until a training of the kind has begun."""
 REFERENCE_NODES = 21
 START_SECONDS = 11.0
 """Start of a training or of tests."""
