@@ -175,9 +175,7 @@ def obtain_demonstrations(config: BCConfig, schema: Any) -> Demonstrations:
     return demonstrations
 
 
-def train_policy(
-    policy: Policy, demonstrations: Demonstrations, config: BCConfig
-) -> dict[str, Any]:
+def train_policy(policy: Policy, demonstrations: Demonstrations, config: BCConfig) -> dict[str, Any]:
     """Fit the distribution of a policy to demonstrated actions.
 
     Args:
@@ -192,10 +190,7 @@ def train_policy(
     num_held_out = max(1, round(config.validation_share * demonstrations.num_episodes))
     train, held_out = demonstrations.split(num_held_out, generator)
     if not len(train):
-        raise ValueError(
-            f"all {num_held_out} episodes are held out; give more episodes or a smaller "
-            "validation_share"
-        )
+        raise ValueError(f"all {num_held_out} episodes are held out; give more episodes or a smaller validation_share")
     policy.normalizer.update(demonstrations.select(train)[0])
     optimizer = torch.optim.Adam(policy.parameters(), lr=config.learning_rate)
     num_batches = -(-len(train) // config.batch_size)
@@ -219,11 +214,7 @@ def train_policy(
 
 
 def gradient_step(
-    policy: Policy,
-    optimizer: torch.optim.Optimizer,
-    graph: dict[str, Any],
-    actions: torch.Tensor,
-    loss: str,
+    policy: Policy, optimizer: torch.optim.Optimizer, graph: dict[str, Any], actions: torch.Tensor, loss: str
 ) -> None:
     """Take one step on M demonstrated actions (M, A, 3)."""
     optimizer.zero_grad(set_to_none=True)
@@ -300,8 +291,7 @@ class ExpertActor:
 def summarize(result: dict[str, Any]) -> str:
     """Return the results of a policy in one line."""
     played = ", ".join(
-        f"success at {poses} poses {means['success_at_end']:.0%} "
-        f"(mean distance {100 * means['mean_distance']:.1f} cm)"
+        f"success at {poses} poses {means['success_at_end']:.0%} (mean distance {100 * means['mean_distance']:.1f} cm)"
         for poses, means in result["rollouts"].items()
     )
     return (
@@ -311,28 +301,22 @@ def summarize(result: dict[str, Any]) -> str:
 
 
 def to_markdown(
-    config: BCConfig,
-    results: list[dict[str, Any]],
-    expert: dict[str, dict[str, float]],
-    demonstrations: Demonstrations,
+    config: BCConfig, results: list[dict[str, Any]], expert: dict[str, dict[str, float]], demonstrations: Demonstrations
 ) -> str:
     """Format the results of all policies, and what they can be held against, as a page."""
     ranges = list(expert)
-    lines = ["| policy | parameters | validation error | " + " | ".join(
-        f"success, {name} | mean distance, {name} [cm]" for name in ranges
-    ) + " | training, CPU s |", "|---|--:|--:|" + "--:|--:|" * len(ranges) + "--:|"]  # fmt: skip
+    lines = [
+        "| policy | parameters | validation error | "
+        + " | ".join(f"success, {name} | mean distance, {name} [cm]" for name in ranges)
+        + " | training, CPU s |",
+        "|---|--:|--:|" + "--:|--:|" * len(ranges) + "--:|",
+    ]
     for result in results:
-        cells = [
-            result["policy"],
-            f"{result['num_parameters']:,}",
-            f"{result['validation_error']:.1%}",
-        ]
+        cells = [result["policy"], f"{result['num_parameters']:,}", f"{result['validation_error']:.1%}"]
         cells += _rollout_cells(result["rollouts"], ranges)
         cells.append(f"{result['cpu_seconds']:.0f}")
         lines.append("| " + " | ".join(cells) + " |")
-    lines.append(
-        "| " + " | ".join(["(expert)", "", "", *_rollout_cells(expert, ranges), ""]) + " |"
-    )
+    lines.append("| " + " | ".join(["(expert)", "", "", *_rollout_cells(expert, ranges), ""]) + " |")
     return PAGE.format(
         command="python baselines/bc.py " + " ".join(sys.argv[1:]),
         demonstrated=_describe_source(config, demonstrations),

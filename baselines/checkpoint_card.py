@@ -61,4 +61,3 @@ Result of `python baselines/evaluate.py {shlex.join(arguments)}`, seeds that tra
 """,
         encoding="utf-8",
     )
-

@@ -62,9 +62,7 @@ def demonstrate(config: DemoConfig) -> dict[str, float]:
     seeds = range(FIRST_SEED, FIRST_SEED + config.num_episodes)
     test_env = make_vector_env(options, min(64, config.num_episodes), partial_reset=False)
     before = evaluate_policy(trainer.policy, test_env, seeds)
-    print(
-        f"\nbefore training, {config.num_episodes} unseen start and goal poses:\n{describe_episodes(before)}\n"
-    )
+    print(f"\nbefore training, {config.num_episodes} unseen start and goal poses:\n{describe_episodes(before)}\n")
     trainer.train()
     after = evaluate_policy(trainer.policy, test_env, seeds)
     print(f"\nafter training, the same poses:\n{describe_episodes(after)}\n")
@@ -74,9 +72,7 @@ def demonstrate(config: DemoConfig) -> dict[str, float]:
     summary["total_timesteps"] = trainer.state.global_step
     (RUN_DIR / "metrics.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     curve = plot_learning_curve(RUN_DIR)
-    video = record_video(
-        trainer.policy, options, seeds[: config.num_videos], RUN_DIR / "policy.mp4"
-    )
+    video = record_video(trainer.policy, options, seeds[: config.num_videos], RUN_DIR / "policy.mp4")
     print(
         f"mean rope-goal distance at the end: {summary['mean_distance_before']:.3f} m before, "
         f"{summary['mean_distance_after']:.3f} m after ({summary['improvement']:.1f} times closer), "

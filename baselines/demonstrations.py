@@ -45,13 +45,7 @@ class Demonstrations:
 
 @torch.no_grad()
 def record_demonstrations(
-    env: gym.Env,
-    env_id: str,
-    seeds: list[int],
-    *,
-    num_steps: int,
-    action_noise: float,
-    generator: torch.Generator,
+    env: gym.Env, env_id: str, seeds: list[int], *, num_steps: int, action_noise: float, generator: torch.Generator
 ) -> Demonstrations:
     """Let the expert of a task act and record what it does.
 
@@ -84,9 +78,7 @@ def record_demonstrations(
             noise = torch.randn(action.shape, generator=generator).to(action)
             obs, *_ = env.step(action + action_noise * noise)
     return Demonstrations(
-        graph=_concatenate(graphs),
-        actions=torch.cat(actions).unflatten(1, (-1, 3)),
-        episode=torch.cat(episodes),
+        graph=_concatenate(graphs), actions=torch.cat(actions).unflatten(1, (-1, 3)), episode=torch.cat(episodes)
     )
 
 
@@ -108,8 +100,7 @@ def load_demonstrations(path: Path, schema: GraphSchema) -> Demonstrations:
         names = [name for name in file if f"{name}/obs/graph" in file]
         if not names:
             raise ValueError(
-                f"{path} holds no trajectories with graph observations; record with "
-                'obs_mode="graph" and RecordEpisode'
+                f'{path} holds no trajectories with graph observations; record with obs_mode="graph" and RecordEpisode'
             )
         for number, name in enumerate(names):
             taken = torch.from_numpy(file[name]["actions"][:]).float()
@@ -122,9 +113,7 @@ def load_demonstrations(path: Path, schema: GraphSchema) -> Demonstrations:
     # Recorded actions are what was asked for; the controller limits their length.
     wanted = torch.cat(actions)
     norm = torch.linalg.vector_norm(wanted, dim=-1, keepdim=True)
-    return Demonstrations(
-        graph=graph, actions=wanted / norm.clamp(min=1.0), episode=torch.cat(episodes)
-    )
+    return Demonstrations(graph=graph, actions=wanted / norm.clamp(min=1.0), episode=torch.cat(episodes))
 
 
 def _first_on_cpu(graph: Graph, num: int) -> Graph:
@@ -133,9 +122,7 @@ def _first_on_cpu(graph: Graph, num: int) -> Graph:
 
 def _read_graph(group: Any, num: int) -> Graph:
     return {
-        key: _read_graph(value, num)
-        if isinstance(value, h5py.Group)
-        else torch.from_numpy(value[:num])
+        key: _read_graph(value, num) if isinstance(value, h5py.Group) else torch.from_numpy(value[:num])
         for key, value in group.items()
     }
 

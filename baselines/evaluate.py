@@ -136,9 +136,7 @@ def task_config(config: EvalConfig, trained: TrainConfig) -> TrainConfig:
     )
 
 
-def write_results(
-    config: EvalConfig, task: TrainConfig, global_step: int, episodes: dict[str, torch.Tensor]
-) -> None:
+def write_results(config: EvalConfig, task: TrainConfig, global_step: int, episodes: dict[str, torch.Tensor]) -> None:
     """Write means and per-episode values."""
     results = {
         "checkpoint": config.checkpoint,

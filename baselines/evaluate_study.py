@@ -74,8 +74,13 @@ def evaluate_study(config: StudyEvalConfig) -> list[str]:
     trained = TrainConfig.from_dict(contents["train_config"])
     errors = []
     for condition in find_task(study, trained).conditions:
-        plan = {"condition": condition.name, "sigma": condition.sigma, "num_episodes": config.num_episodes,
-                "first_seed": config.seed, "global_step": contents["global_step"]}  # fmt: skip
+        plan = {
+            "condition": condition.name,
+            "sigma": condition.sigma,
+            "num_episodes": config.num_episodes,
+            "first_seed": config.seed,
+            "global_step": contents["global_step"],
+        }
         path = config.path(condition)
         if is_played(path, plan):
             continue

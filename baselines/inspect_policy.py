@@ -85,12 +85,8 @@ def inspect(config: InspectConfig) -> dict[str, Path]:
     contributions = [node_contribution(policy, graph) for graph in examined]
     embeddings = torch.cat([node_embedding(policy, graph) for graph in graphs])
     figures = {
-        "sensitivity": draw_on_object(
-            policy, examined, steps, sensitivities, "|d a / d p| [largest action / cm]", 0.01
-        ),
-        "contribution": draw_on_object(
-            policy, examined, steps, contributions, "change of a without the node [largest action]"
-        ),
+        "sensitivity": draw_on_object(policy, examined, steps, sensitivities, "|d a / d p| [largest action / cm]", 0.01),
+        "contribution": draw_on_object(policy, examined, steps, contributions, "change of a without the node [largest action]"),
         "embedding": draw_embedding(policy, graphs, embeddings),
     }
     folder = config.out or Path(config.checkpoint).parent
@@ -108,10 +104,7 @@ def inspect(config: InspectConfig) -> dict[str, Path]:
 def play_episode(policy: Policy, config: InspectConfig, trained: TrainConfig) -> list[Graph]:
     """Play one episode with mean actions and return the observation graph of every step, B = 1."""
     options = EvalConfig(
-        checkpoint=config.checkpoint,
-        env_id=config.env_id,
-        env_kwargs=config.env_kwargs,
-        sim_backend=config.sim_backend,
+        checkpoint=config.checkpoint, env_id=config.env_id, env_kwargs=config.env_kwargs, sim_backend=config.sim_backend
     )
     env = make_env(task_config(options, trained), 1)
     check_schema(policy, env)
@@ -142,9 +135,7 @@ def node_sensitivity(policy: Policy, graph: Graph) -> torch.Tensor:
     mean = policy.distribution(_move_nodes(policy.schema, graph, position)).mean[0]
     rows = []
     for entry in mean.flatten():
-        (gradient,) = torch.autograd.grad(
-            entry, position, retain_graph=True, materialize_grads=True
-        )
+        (gradient,) = torch.autograd.grad(entry, position, retain_graph=True, materialize_grads=True)
         rows.append(gradient[0])
     jacobian = torch.stack(rows).view(*mean.shape, -1, 3)  # (A, 3, N, 3)
     return jacobian.square().sum(dim=(1, 3)).sqrt()
@@ -195,20 +186,12 @@ def describe_spread(sensitivity: torch.Tensor, contribution: torch.Tensor) -> st
         share = influence / influence.sum(dim=1, keepdim=True).clamp(min=1e-30)
         effective = (1.0 / share.square().sum(dim=1).clamp(min=1e-30)).mean()
         lowest = (influence.amin(dim=1) / influence.amax(dim=1).clamp(min=1e-30)).min()
-        parts.append(
-            f"{name}: {effective:.1f} of {influence.shape[1]} nodes count, "
-            f"weakest / strongest {lowest:.1e}"
-        )
+        parts.append(f"{name}: {effective:.1f} of {influence.shape[1]} nodes count, weakest / strongest {lowest:.1e}")
     return "; ".join(parts)
 
 
 def draw_on_object(
-    policy: Policy,
-    graphs: list[Graph],
-    steps: list[int],
-    values: list[torch.Tensor],
-    label: str,
-    scale: float = 1.0,
+    policy: Policy, graphs: list[Graph], steps: list[int], values: list[torch.Tensor], label: str, scale: float = 1.0
 ) -> Figure:
     """Draw one number per node and actuator on the object, seen from above.
 
@@ -225,24 +208,14 @@ def draw_on_object(
     """
     num = values[0].shape[0]
     size = (3.0 * num + 1.2, 3.2 * len(graphs) + 0.5)
-    figure, axes = plt.subplots(
-        len(graphs),
-        num,
-        figsize=size,
-        squeeze=False,
-        layout="constrained",
-        sharex=True,
-        sharey=True,
-    )
+    figure, axes = plt.subplots(len(graphs), num, figsize=size, squeeze=False, layout="constrained", sharex=True, sharey=True)
     for row, (graph, step, value) in enumerate(zip(graphs, steps, values, strict=True)):
         mean = policy.distribution(graph).mean[0].detach()
         for actuator, axis in enumerate(axes[row]):
             largest = max(float(value[actuator].max()), 1e-30)
             points = _draw_nodes(axis, policy.schema, graph, value[actuator] / largest)
             _draw_actuators(axis, graph, mean, actuator)
-            axis.set_title(
-                f"step {step}, actuator {actuator + 1}; largest {largest * scale:.2g}", fontsize=8
-            )
+            axis.set_title(f"step {step}, actuator {actuator + 1}; largest {largest * scale:.2g}", fontsize=8)
     _set_square_limits(axes[0, 0], policy.schema, graphs)
     figure.colorbar(points, ax=axes, label="share of the largest in the panel", shrink=0.6)
     figure.suptitle(f"{policy.name}: {label}; arrow: mean action, grey line: goal", fontsize=10)
@@ -259,9 +232,7 @@ def draw_embedding(policy: Policy, graphs: list[Graph], features: torch.Tensor) 
     }
     count = graphs[0]["object"]["position"].shape[1]
     colorings["step"] = torch.arange(len(graphs)).repeat_interleave(count)
-    figure, axes = plt.subplots(
-        1, len(colorings), figsize=(4.2 * len(colorings), 3.8), squeeze=False, layout="constrained"
-    )
+    figure, axes = plt.subplots(1, len(colorings), figsize=(4.2 * len(colorings), 3.8), squeeze=False, layout="constrained")
     for axis, (name, colors) in zip(axes[0], colorings.items(), strict=True):
         drawn = axis.scatter(points[:, 0], points[:, 1], c=colors, s=5, cmap=COLOR_MAP)
         figure.colorbar(drawn, ax=axis, label=name)
@@ -278,9 +249,7 @@ def _draw_nodes(axis: Axes, schema: GraphSchema, graph: Graph, colors: torch.Ten
         axis.add_collection(_mesh_lines(goal, nodes["neighbors"], "0.7", "solid"))
     axis.add_collection(_mesh_lines(position, nodes["neighbors"], "0.3", "solid"))
     axis.set_aspect("equal")
-    return axis.scatter(
-        position[:, 0], position[:, 1], c=colors, vmin=0.0, vmax=1.0, cmap=COLOR_MAP, s=30, zorder=3
-    )
+    return axis.scatter(position[:, 0], position[:, 1], c=colors, vmin=0.0, vmax=1.0, cmap=COLOR_MAP, s=30, zorder=3)
 
 
 def _goals(schema: GraphSchema, graph: Graph) -> torch.Tensor | None:
@@ -300,9 +269,7 @@ def _set_square_limits(axis: Axes, schema: GraphSchema, graphs: list[Graph]) -> 
     axis.set_ylim(float(centre[1]) - half, float(centre[1]) + half)
 
 
-def _mesh_lines(
-    position: torch.Tensor, neighbors: torch.Tensor, color: str, style: str
-) -> LineCollection:
+def _mesh_lines(position: torch.Tensor, neighbors: torch.Tensor, color: str, style: str) -> LineCollection:
     first, slot = (neighbors >= 0).nonzero(as_tuple=True)
     ends = position[torch.stack([first, neighbors[first, slot]], dim=1), :2]
     return LineCollection(ends.tolist(), colors=color, linestyles=style, linewidths=1.0, zorder=1)
@@ -310,15 +277,11 @@ def _mesh_lines(
 
 def _draw_actuators(axis: Axes, graph: Graph, mean: torch.Tensor, selected: int) -> None:
     position = graph["actuator"]["position"][0]
-    axis.scatter(
-        position[:, 0], position[:, 1], s=90, facecolors="none", edgecolors="0.5", zorder=2
-    )
+    axis.scatter(position[:, 0], position[:, 1], s=90, facecolors="none", edgecolors="0.5", zorder=2)
     x, y = position[selected, :2].tolist()
     dx, dy = (0.1 * mean[selected, :2]).tolist()
     axis.scatter([x], [y], s=110, facecolors="none", edgecolors="red", linewidths=2.0, zorder=4)
-    axis.annotate(
-        "", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "->", "color": "red", "lw": 1.5}
-    )
+    axis.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "->", "color": "red", "lw": 1.5})
 
 
 def _move_nodes(schema: GraphSchema, graph: Graph, position: torch.Tensor) -> Graph:

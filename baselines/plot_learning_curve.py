@@ -28,9 +28,7 @@ LABELS = {
 """Axis labels; other metrics are labelled by their names."""
 
 
-def plot_learning_curve(
-    run_dir: Path, path: Path | None = None, metrics: Sequence[str] | None = None
-) -> Path:
+def plot_learning_curve(run_dir: Path, path: Path | None = None, metrics: Sequence[str] | None = None) -> Path:
     """Plot the curve of one run, see `plot_learning_curves`; by default into learning_curve.png in its folder."""
     return plot_learning_curves([run_dir], path or run_dir / "learning_curve.png", metrics)
 

@@ -68,9 +68,14 @@ def record(config: RecordConfig) -> Path:
     num_steps = gym_utils.find_max_episode_steps_value(env)
     expert = make_expert(config.env_id, env)
     recorder = RecordEpisode(
-        env, str(folder), trajectory_name="trajectory", save_video=False, save_on_reset=False,
-        source_type="scripted", source_desc=f"the expert of {config.env_id}",
-    )  # fmt: skip
+        env,
+        str(folder),
+        trajectory_name="trajectory",
+        save_video=False,
+        save_on_reset=False,
+        source_type="scripted",
+        source_desc=f"the expert of {config.env_id}",
+    )
     kept = 0
     for first in tqdm(range(0, config.num_episodes, num_envs), desc="demonstrations", unit="batch"):
         recorder.reset(seed=list(range(config.seed + first, config.seed + first + num_envs)))

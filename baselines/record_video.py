@@ -16,9 +16,7 @@ from maniskill_grpd.policies import Policy
 from maniskill_grpd.tasks.pictures.world_pictures import MAX_DRAWN_WORLDS
 
 
-def record_video(
-    policy: Policy, config: TrainConfig, seeds: Sequence[int], path: Path, fps: int = 20
-) -> Path:
+def record_video(policy: Policy, config: TrainConfig, seeds: Sequence[int], path: Path, fps: int = 20) -> Path:
     """Play episodes at the same time and write what the task's camera sees, in a grid as square as possible.
 
     Args:

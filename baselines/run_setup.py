@@ -45,9 +45,7 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
     )
 
 
-def make_vector_env(
-    config: TrainConfig, num_envs: int, *, partial_reset: bool
-) -> ManiSkillVectorEnv:
+def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) -> ManiSkillVectorEnv:
     """Make the task of a run as a vector environment that resets itself.
 
     Args:
@@ -56,14 +54,10 @@ def make_vector_env(
         partial_reset: Whether an episode ends when its environment terminates.
     """
     env = make_env(config, num_envs)
-    return ManiSkillVectorEnv(
-        env, num_envs, ignore_terminations=not partial_reset, record_metrics=True
-    )
+    return ManiSkillVectorEnv(env, num_envs, ignore_terminations=not partial_reset, record_metrics=True)
 
 
-def load_policy(
-    path: str | Path, device: str | torch.device = "cpu"
-) -> tuple[Policy, dict[str, Any]]:
+def load_policy(path: str | Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[str, Any]]:
     """Rebuild the policy of a checkpoint.
 
     Args:
@@ -89,14 +83,9 @@ def check_schema(policy: Policy, env: gym.Env) -> None:
     """
     trained, given = policy.schema.to_dict(), env.unwrapped.graph_schema.to_dict()
     parts = ("object", "actuator")
-    differences = describe_differences(
-        {part: trained[part] for part in parts}, {part: given[part] for part in parts}
-    )
+    differences = describe_differences({part: trained[part] for part in parts}, {part: given[part] for part in parts})
     if differences:
-        raise CheckpointError(
-            "the policy was trained on other observations than this task gives: "
-            + "; ".join(differences)
-        )
+        raise CheckpointError("the policy was trained on other observations than this task gives: " + "; ".join(differences))
 
 
 def make_run_name(config: TrainConfig) -> str:
@@ -120,9 +109,7 @@ def to_arguments(config: TrainConfig) -> list[str]:
     return arguments
 
 
-def write_run_record(
-    run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1
-) -> None:
+def write_run_record(run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1) -> None:
     """Write config.json: options, versions, commit, machine; enough to make the run again."""
     record = {
         "config": config.to_dict(),

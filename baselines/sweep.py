@@ -168,9 +168,7 @@ def show(table: str, previous_lines: int) -> int:
     return table.count("\n") + 1
 
 
-def make_runs(
-    name: str, grid: Sequence[str], common: Sequence[str], num_processes: int = 1
-) -> dict[Run, TrainConfig]:
+def make_runs(name: str, grid: Sequence[str], common: Sequence[str], num_processes: int = 1) -> dict[Run, TrainConfig]:
     """Make the runs of a grid, checked before any of them starts.
 
     Args:

@@ -60,9 +60,7 @@ def train(config: TrainConfig) -> Path:
     # The first process alone looks, or it might have written the file before the others do.
     is_taken = workers.gather((run_dir / "config.json").exists())[0]
     if not config.resume and is_taken:
-        raise FileExistsError(
-            f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name"
-        )
+        raise FileExistsError(f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name")
     trainer = make_trainer(config, run_dir, workers)
     if config.resume:
         trainer.load(run_dir / "last.pt")
@@ -117,7 +115,7 @@ def fit_policy_options(options: dict[str, Any], envs: ManiSkillVectorEnv) -> dic
         takes = "opens and closes grippers" if has_grippers else "has fixed grasps"
         raise ValueError(
             f"policy_kwargs says gripper={json.dumps(options['gripper'])} but the task {takes}; leave it out, or "
-            'choose with --env_kwargs grasp=free (or grasp=fixed)'
+            "choose with --env_kwargs grasp=free (or grasp=fixed)"
         )
     return {**options, "gripper": has_grippers} if has_grippers else options
 
@@ -137,12 +135,7 @@ def parse_config(arguments: Sequence[str]) -> TrainConfig:
     finder.add_argument("--resume", type=Path)
     resumed = finder.parse_known_args(arguments)[0].resume
     default = TrainConfig() if resumed is None else read_run_config(resumed)
-    return tyro.cli(
-        TrainConfig,
-        args=list(arguments),
-        default=dataclasses.replace(default, resume=None),
-        description=__doc__,
-    )
+    return tyro.cli(TrainConfig, args=list(arguments), default=dataclasses.replace(default, resume=None), description=__doc__)
 
 
 def main(arguments: Sequence[str]) -> int:

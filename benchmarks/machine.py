@@ -16,9 +16,12 @@ from maniskill_grpd.processor import processor_name
 def describe_machine(device: str = "cpu") -> dict[str, str | int]:
     """Return processor, cores, load and versions."""
     machine: dict[str, str | int] = {
-        "cpu": processor_name(), "cores": os.cpu_count() or 1,
-        "cores used": num_cores(), "load": f"{os.getloadavg()[0]:.1f}", "python": platform.python_version(),
-    }  # fmt: skip
+        "cpu": processor_name(),
+        "cores": os.cpu_count() or 1,
+        "cores used": num_cores(),
+        "load": f"{os.getloadavg()[0]:.1f}",
+        "python": platform.python_version(),
+    }
     if device == "cuda":
         machine["gpu"] = torch.cuda.get_device_name()
     return machine | {package: installed_version(package) for package in ("torch", "warp-lang", "newton")}

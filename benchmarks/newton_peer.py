@@ -40,9 +40,18 @@ class NewtonSolver:
     """
 
     def __init__(
-        self, model: Model, num_worlds: int, held: np.ndarray, *, method: str, substeps: int, iterations: int,
-        bare: bool = False, control_dt: float = 0.05, device: str = "cpu",
-    ) -> None:  # fmt: skip
+        self,
+        model: Model,
+        num_worlds: int,
+        held: np.ndarray,
+        *,
+        method: str,
+        substeps: int,
+        iterations: int,
+        bare: bool = False,
+        control_dt: float = 0.05,
+        device: str = "cpu",
+    ) -> None:
         self.num_worlds, self.num_nodes, self.substeps = num_worlds, model.num_nodes, substeps
         self.dt = control_dt / substeps
         self.device = device
@@ -93,9 +102,11 @@ class NewtonSolver:
         masses[held] = 0.0
         # Radius 0 switches particle contacts off, which would otherwise act between worlds as well.
         world.add_particles(
-            [wp.vec3(*p) for p in model.rest_positions.tolist()], [wp.vec3(0.0)] * model.num_nodes, masses.tolist(),
+            [wp.vec3(*p) for p in model.rest_positions.tolist()],
+            [wp.vec3(0.0)] * model.num_nodes,
+            masses.tolist(),
             radius=[0.0] * model.num_nodes,
-        )  # fmt: skip
+        )
         for (i, j), compliance in zip(model.edges.tolist(), model.stretch_compliances.tolist(), strict=True):
             world.add_spring(i, j, 1.0 / compliance, 0.0, 0.0)
         if not self.bare:
@@ -126,9 +137,11 @@ class NewtonSolver:
         for substep in range(self.substeps):
             first, second = self.states
             wp.launch(
-                move_held_particles, dim=len(self.particles), device=self.device,
+                move_held_particles,
+                dim=len(self.particles),
+                device=self.device,
                 inputs=[self.particles, self.starts, self.targets, (substep + 1) / self.substeps, first.particle_q],
-            )  # fmt: skip
+            )
             if self.pipeline is not None:
                 self.pipeline.collide(first, self.contacts)
             self.solver.step(first, second, self.control, self.contacts, self.dt)

@@ -114,9 +114,15 @@ class Newton:
 
         method, _, rest = solver.removeprefix("Newton ").partition(" ")
         self.solver = NewtonSolver(
-            scene.model, num_worlds, scene.held, method=method.lower(), substeps=substeps, iterations=iterations,
-            bare="springs only" in rest, device=device,
-        )  # fmt: skip
+            scene.model,
+            num_worlds,
+            scene.held,
+            method=method.lower(),
+            substeps=substeps,
+            iterations=iterations,
+            bare="springs only" in rest,
+            device=device,
+        )
         self.targets = self.solver.targets.numpy().reshape(num_worlds, -1, 3).copy()
 
     def step(self, move: np.ndarray) -> None:
@@ -254,17 +260,32 @@ def to_rows(entries: list[Entry], arguments: argparse.Namespace) -> list[dict]:
             rate = statistics.median(rates)
             work = count_work(entry.scene.model, entry.solver, entry.substeps, entry.iterations)
             row = {
-                "scene": entry.scene.name, "solver": entry.solver, "device": arguments.device, "num_worlds": num_worlds,
-                "substeps": entry.substeps, "iterations": entry.iterations, "largest_stretch": entry.stretch,
-                "env_steps_per_s": rate, "min": min(rates), "max": max(rates),
-                "ns_per_projection": 1e9 / (rate * work.projections), **{f"work_{k}": v for k, v in asdict(work).items()},
-                "gflop_per_s": rate * work.flops * 1e-9, "gbyte_per_s": rate * work.bytes * 1e-9,
-            }  # fmt: skip
+                "scene": entry.scene.name,
+                "solver": entry.solver,
+                "device": arguments.device,
+                "num_worlds": num_worlds,
+                "substeps": entry.substeps,
+                "iterations": entry.iterations,
+                "largest_stretch": entry.stretch,
+                "env_steps_per_s": rate,
+                "min": min(rates),
+                "max": max(rates),
+                "ns_per_projection": 1e9 / (rate * work.projections),
+                **{f"work_{k}": v for k, v in asdict(work).items()},
+                "gflop_per_s": rate * work.flops * 1e-9,
+                "gbyte_per_s": rate * work.bytes * 1e-9,
+            }
             if entry.solver.startswith("ours"):
-                peers = [statistics.median(other.rates[num_worlds]) for other in entries
-                         if other.solver.startswith("Newton") and num_worlds in other.rates]  # fmt: skip
-                full = [statistics.median(other.rates[num_worlds]) for other in entries
-                        if other.solver in ("Newton XPBD", "Newton VBD") and num_worlds in other.rates]  # fmt: skip
+                peers = [
+                    statistics.median(other.rates[num_worlds])
+                    for other in entries
+                    if other.solver.startswith("Newton") and num_worlds in other.rates
+                ]
+                full = [
+                    statistics.median(other.rates[num_worlds])
+                    for other in entries
+                    if other.solver in ("Newton XPBD", "Newton VBD") and num_worlds in other.rates
+                ]
                 row |= {"ratio": rate / max(full)} if full else {}
                 row |= {"ratio_to_springs_only": rate / max(peers)} if len(peers) > len(full) else {}
             rows.append(row)

@@ -28,9 +28,7 @@ from maniskill_grpd.physics import Model, Solver, cloth, rope, square_outline
 SUBSTEPS = 20
 
 
-def seconds_per_step(
-    model: Model, num_worlds: int, self_collision: bool, device: str, seconds: float, repeats: int
-) -> float:
+def seconds_per_step(model: Model, num_worlds: int, self_collision: bool, device: str, seconds: float, repeats: int) -> float:
     """Return the median time [s] of one control step of dragged worlds on one thread."""
     solver = Solver(model, num_worlds, 2, substeps=SUBSTEPS, device=device, num_threads=1, self_collision=self_collision)
     solver.plane[:, 3] = -10.0

@@ -133,11 +133,7 @@ class PerEdgeConv(nn.Module):
         px, py, pz = direction
         dot = _times(px, x) + _times(py, y) + _times(pz, z)
         invariant = torch.cat([_times(still, scalars), dot], dim=-1)
-        cross = (
-            _times(py, z) - _times(pz, y),
-            _times(pz, x) - _times(px, z),
-            _times(px, y) - _times(py, x),
-        )
+        cross = (_times(py, z) - _times(pz, y), _times(pz, x) - _times(px, z), _times(px, y) - _times(py, x))
         messages = [
             self.to_vectors(torch.cat([_times(p, mixed), _times(still, v), c], dim=-1)).sum(dim=2)
             for p, v, c in zip(direction, vectors, cross, strict=True)
@@ -184,17 +180,11 @@ class PeerPolicy(nn.Module):
         num_radial: Radial functions.
     """
 
-    def __init__(
-        self, layer: type, graph: Mapping[str, Any], hidden: int = 32, num_radial: int = 6
-    ) -> None:
+    def __init__(self, layer: type, graph: Mapping[str, Any], hidden: int = 32, num_radial: int = 6) -> None:
         super().__init__()
         self.centers = [i / (num_radial - 1) for i in range(num_radial)]
-        self.scalars = nn.ModuleDict(
-            {key: nn.Linear(graph[key]["scalars"].shape[-1], hidden) for key in NODES}
-        )
-        self.vectors = nn.ModuleDict(
-            {key: nn.Linear(graph[key]["vectors"].shape[2], hidden, bias=False) for key in NODES}
-        )
+        self.scalars = nn.ModuleDict({key: nn.Linear(graph[key]["scalars"].shape[-1], hidden) for key in NODES})
+        self.vectors = nn.ModuleDict({key: nn.Linear(graph[key]["vectors"].shape[2], hidden, bias=False) for key in NODES})
         self.edge = nn.Linear(num_radial, hidden)
         self.layer = layer(4, hidden, 100.0, None, False, last_layer=True)
         self.mean = nn.Linear(hidden, 1, bias=False)
@@ -206,18 +196,12 @@ class PeerPolicy(nn.Module):
         position = torch.cat([graph[key]["position"] for key in NODES], dim=1)
         batch, count, _ = position.shape
         x = torch.cat([self.scalars[k](graph[k]["scalars"]) for k in NODES], dim=1).flatten(0, 1)
-        vec = torch.cat(
-            [self.vectors[k](graph[k]["vectors"].transpose(2, 3)) for k in NODES], dim=1
-        ).flatten(0, 1)
+        vec = torch.cat([self.vectors[k](graph[k]["vectors"].transpose(2, 3)) for k in NODES], dim=1).flatten(0, 1)
         position = position.flatten(0, 1)
         offset = position[self.edges[0]] - position[self.edges[1]]
         distance = (offset.square().sum(-1) + 1e-8).sqrt()
-        radial = torch.stack(
-            [torch.exp(-((distance - c) * 5.0).square()) for c in self.centers], -1
-        )
-        change, turn, _ = self.layer(
-            x, vec, self.edges, distance, self.edge(radial), offset / distance[:, None]
-        )
+        radial = torch.stack([torch.exp(-((distance - c) * 5.0).square()) for c in self.centers], -1)
+        change, turn, _ = self.layer(x, vec, self.edges, distance, self.edge(radial), offset / distance[:, None])
         x, vec = (x + change).view(batch, count, -1), (vec + turn).view(batch, count, 3, -1)
         num_actuators = graph["actuator"]["position"].shape[1]
         mean = self.mean(vec[:, -num_actuators:]).squeeze(-1)
@@ -288,14 +272,10 @@ def forward_backward(policy: nn.Module, graph: Mapping[str, Any]) -> None:
     (score.sum() + value.sum()).backward()
 
 
-CALLS: dict[str, Callable[[nn.Module, Mapping[str, Any]], None]] = dict(
-    zip(MODES, (forward, forward_backward), strict=True)
-)
+CALLS: dict[str, Callable[[nn.Module, Mapping[str, Any]], None]] = dict(zip(MODES, (forward, forward_backward), strict=True))
 
 
-def seconds_per_call(
-    call: Callable[..., None], policy: nn.Module, graph: Mapping[str, Any], budget: float
-) -> float:
+def seconds_per_call(call: Callable[..., None], policy: nn.Module, graph: Mapping[str, Any], budget: float) -> float:
     """Return the time of one call, over about `budget` seconds of calls."""
     device, count = graph["gravity"].device, 0
     clock = time.perf_counter if device.type == "cuda" else time.process_time
@@ -318,9 +298,7 @@ def peak_memory(call: Callable[..., None], policy: nn.Module, graph: Mapping[str
         call(policy, graph)
         return (torch.cuda.max_memory_allocated(device) - before) / 2**20
     policy.zero_grad(set_to_none=True)
-    with torch.profiler.profile(
-        activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True
-    ) as profile:
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
         call(policy, graph)
     # Allocations and releases in order of time.
     events = [e for e in profile.profiler.kineto_results.events() if e.name() == "[memory]"]
@@ -385,10 +363,7 @@ def slope(rows: list[dict[str, Any]], policy: str, mode: str, key: str = "ms") -
     points = [
         (math.log(row["nodes"]), math.log(row[key]))
         for row in rows
-        if row["policy"] == policy
-        and row["mode"] == mode
-        and row["actuators"] == MAX_ACTUATORS
-        and row["nodes"] >= SLOPE_FROM
+        if row["policy"] == policy and row["mode"] == mode and row["actuators"] == MAX_ACTUATORS and row["nodes"] >= SLOPE_FROM
     ]
     return statistics.linear_regression(*zip(*points, strict=True)).slope
 
@@ -398,10 +373,11 @@ def to_markdown(rows: list[dict[str, Any]]) -> str:
     names = list(dict.fromkeys(row["policy"] for row in rows))
     mode = MODES[1]
     lines = [
-        f"Forward and backward, {LARGE:,} nodes, {MAX_ACTUATORS} actuators, {BATCH} graphs:", "",
+        f"Forward and backward, {LARGE:,} nodes, {MAX_ACTUATORS} actuators, {BATCH} graphs:",
+        "",
         "| policy | parameters | ms | times grpd | peak MiB | slope of time | slope of memory |",
         "|---|--:|--:|--:|--:|--:|--:|",
-    ]  # fmt: skip
+    ]
     for name in names:
         row = _find(rows, name, LARGE, MAX_ACTUATORS, mode)
         lines.append(
@@ -411,20 +387,14 @@ def to_markdown(rows: list[dict[str, Any]]) -> str:
         )
     lines += ["", f"Slopes are d log / d log(nodes) from {SLOPE_FROM} nodes up."]
     for mode in MODES:
-        for title, key, digits in (
-            ("median ms (times grpd)", "ms", 1),
-            ("peak MiB", "peak_mib", 1),
-        ):
+        for title, key, digits in (("median ms (times grpd)", "ms", 1), ("peak MiB", "peak_mib", 1)):
             lines += ["", f"{mode}, {title}:", "", *_grid(rows, names, mode, key, digits)]
     return "\n".join(lines) + "\n"
 
 
 def _grid(rows: list[dict], names: list[str], mode: str, key: str, digits: int) -> list[str]:
     sizes = list(dict.fromkeys((row["nodes"], row["actuators"]) for row in rows))
-    lines = [
-        "| policy | " + " | ".join(f"N={n}, A={a}" for n, a in sizes) + " |",
-        "|---|" + "--:|" * len(sizes),
-    ]
+    lines = ["| policy | " + " | ".join(f"N={n}, A={a}" for n, a in sizes) + " |", "|---|" + "--:|" * len(sizes)]
     for name in names:
         cells = []
         for nodes, actuators in sizes:
@@ -453,12 +423,8 @@ def _to(graph: Any, device: torch.device) -> Any:
 
 def main() -> None:
     """Parse the command line, measure, print and write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--quick", action="store_true", help="few sizes and short measurements, for a look"
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="few sizes and short measurements, for a look")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--json", type=Path, help="file for the rows")
     parser.add_argument("--markdown", type=Path, help="file for the tables")

@@ -44,9 +44,7 @@ def card(uid: str) -> str:
     picture = f"![{uid}: the expert](images/{uid}.gif)"
     options = inspect.getdoc(task.__init__).partition("Args:")[2].partition("Raises:")[0]
     lines = [" ".join(line.split()) if not line.startswith("    ") else line.strip() for line in options.strip().splitlines()]
-    return "\n\n".join([
-        f"## {uid}", picture, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines),
-    ])  # fmt: skip
+    return "\n\n".join([f"## {uid}", picture, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines)])
 
 
 def tables(rows: list[dict[str, Any]]) -> str:

@@ -25,9 +25,16 @@ GAMMA = 0.99
 MAX_STEP = 0.03
 DETOURS = tuple((beyond, lift) for lift in (0.0, 0.1) for beyond in (0.0, 0.05, 0.1, 0.15, 0.2, 0.25))
 COLUMNS = (
-    "beyond [m]", "lift [m]", "success", "from below", "distance [m]",
-    "return", "from below", "pay for success", "pay for nearness",
-)  # fmt: skip
+    "beyond [m]",
+    "lift [m]",
+    "success",
+    "from below",
+    "distance [m]",
+    "return",
+    "from below",
+    "pay for success",
+    "pay for nearness",
+)
 
 
 def pay_for_success(distances: torch.Tensor, success: torch.Tensor) -> torch.Tensor:

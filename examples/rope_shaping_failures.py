@@ -37,8 +37,17 @@ NEAR = 0.1
 RIGHT_SIDE = 0.05
 """Height of the middle over the chord of the inner grippers from which it counts as on the right side [m]; the goal's is 0.16."""
 COLUMNS = (
-    "player", "success", "from below", "from beside", "from above", "beyond", "lift", "failed: middle right", "grippers", "middle"
-)  # fmt: skip
+    "player",
+    "success",
+    "from below",
+    "from beside",
+    "from above",
+    "beyond",
+    "lift",
+    "failed: middle right",
+    "grippers",
+    "middle",
+)
 
 
 def play(env: gym.Env, act: Callable[[Any], torch.Tensor], first_obs: Any) -> list[float]:

@@ -59,9 +59,7 @@ def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
     """
     position = REGISTERED_ENVS[env_id].cls.CAMERA_POSITION
     camera = {"fov": episode.field_of_view, "pose": look_at(position, episode.target)}
-    env = gym.make(
-        env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options
-    )
+    env = gym.make(env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options)
     env.reset(seed=episode.seed)
     expert = make_expert(env_id, env)
     frames, num_steps = [_frame(env)], None

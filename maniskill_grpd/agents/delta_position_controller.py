@@ -47,9 +47,7 @@ class DeltaPositionController(PDJointPosController):
         """Return a copy of the targets."""
         return {"target_qpos": self.articulation.drive_targets.clone()}
 
-    def set_state(
-        self, state: dict[str, torch.Tensor], env_idx: torch.Tensor | None = None
-    ) -> None:
+    def set_state(self, state: dict[str, torch.Tensor], env_idx: torch.Tensor | None = None) -> None:
         """Restore the targets of the worlds `env_idx` (b,), or of those being reset."""
         worlds = self.scene._reset_mask if env_idx is None else env_idx
         self.articulation.drive_targets[worlds] = state["target_qpos"].to(self.device)

@@ -9,10 +9,7 @@ import torch
 from mani_skill.agents.base_agent import BaseAgent
 from mani_skill.agents.registration import register_agent
 
-from maniskill_grpd.agents.delta_position_controller import (
-    DeltaPositionControllerConfig,
-    DeltaPositionGripControllerConfig,
-)
+from maniskill_grpd.agents.delta_position_controller import DeltaPositionControllerConfig, DeltaPositionGripControllerConfig
 from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
 
 if TYPE_CHECKING:
@@ -82,9 +79,7 @@ class FloatingGrippers(BaseAgent):
         expected = (self.scene.num_envs, width)
         if tuple(action.shape) != expected:
             allowed = f"{expected} or {(width,)}" if expected[0] == 1 else f"{expected}"
-            raise ValueError(
-                f"action of {self.uid} must have shape {allowed}, got {tuple(action.shape)}"
-            )
+            raise ValueError(f"action of {self.uid} must have shape {allowed}, got {tuple(action.shape)}")
         action = action.detach().to(device=self.device, dtype=torch.float32)
         if not torch.isfinite(action).all():
             world, column = np.argwhere(~torch.isfinite(action).cpu().numpy())[0]

@@ -31,13 +31,7 @@ class KinematicArticulation:
     merged = False
 
     def __init__(
-        self,
-        scene: ManiSkillScene,
-        name: str,
-        *,
-        positions: torch.Tensor,
-        targets: torch.Tensor,
-        grip_commands: torch.Tensor,
+        self, scene: ManiSkillScene, name: str, *, positions: torch.Tensor, targets: torch.Tensor, grip_commands: torch.Tensor
     ) -> None:
         """Wrap gripper tensors, which may be those of some of the grippers of a solver.
 
@@ -154,10 +148,7 @@ class KinematicArticulation:
         """Ignore joint forces: the joints are kinematic."""
 
     def set_joint_drive_targets(
-        self,
-        targets: torch.Tensor,
-        joints: list[KinematicJoint] | None = None,
-        joint_indices: torch.Tensor | None = None,
+        self, targets: torch.Tensor, joints: list[KinematicJoint] | None = None, joint_indices: torch.Tensor | None = None
     ) -> None:
         """Set where joints (all by default) will be after the next step, (B, joints) [m]."""
         if joint_indices is None:

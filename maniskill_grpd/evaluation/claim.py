@@ -8,12 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from maniskill_grpd.evaluation.statistics import (
-    Interval,
-    interquartile_mean,
-    probability_of_improvement,
-    resampled_interval,
-)
+from maniskill_grpd.evaluation.statistics import Interval, interquartile_mean, probability_of_improvement, resampled_interval
 
 Verdict = Literal["holds", "does not hold", "undecided", "not run"]
 
@@ -121,12 +116,7 @@ class Finding:
     better: float = np.nan
 
 
-def judge(
-    claim: Claim,
-    ours: Sequence[np.ndarray],
-    theirs: Sequence[np.ndarray],
-    generator: np.random.Generator,
-) -> Finding:
+def judge(claim: Claim, ours: Sequence[np.ndarray], theirs: Sequence[np.ndarray], generator: np.random.Generator) -> Finding:
     """Compare a claim with data.
 
     Args:
@@ -144,8 +134,10 @@ def judge(
     places += [] if claim.is_paired else [np.arange(len(runs)) for runs in theirs]
 
     def statistic(*drawn: np.ndarray, axis: int = -1) -> np.ndarray:
-        chosen = [np.concatenate([runs[i] for runs, i in zip(side, places_of, strict=True)], axis)
-                  for side, places_of in ((ours, drawn[: len(ours)]), (theirs, drawn[-len(theirs) :]))]  # fmt: skip
+        chosen = [
+            np.concatenate([runs[i] for runs, i in zip(side, places_of, strict=True)], axis)
+            for side, places_of in ((ours, drawn[: len(ours)]), (theirs, drawn[-len(theirs) :]))
+        ]
         return measure(*chosen)
 
     num_runs = min(len(runs) for runs in (*ours, *theirs))

@@ -58,9 +58,7 @@ def load_results(folder: Path) -> Results:
     by_run: dict[str, list[Row]] = {}
     for row in curves:
         by_run.setdefault(row["run"], []).append(row)
-    return Results(
-        {row["run"]: row for row in runs}, {(row["run"], row["condition"]): row for row in tests}, by_run
-    )
+    return Results({row["run"]: row for row in runs}, {(row["run"], row["condition"]): row for row in tests}, by_run)
 
 
 def save_runs(folder: Path, runs: Iterable[tuple[str, Path, str]]) -> None:

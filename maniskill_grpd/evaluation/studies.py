@@ -12,8 +12,7 @@ from maniskill_grpd.evaluation.study import AS_TRAINED, Arm, Condition, Study, T
 ROPE_SHAPING = Task(env_id="RopeShaping-v1", options={"resolution": 41, "graph_nodes": 21})
 ROPE_WRAPPING = Task(env_id="RopeWrapping-v1", options={"resolution": 41, "graph_nodes": 21})
 CLOTH_FOLDING = Task(
-    env_id="ClothFolding-v1",
-    options={"resolution": 64, "graph_nodes": 25, "shapes": ["square", "triangle", "rectangle"]},
+    env_id="ClothFolding-v1", options={"resolution": 64, "graph_nodes": 25, "shapes": ["square", "triangle", "rectangle"]}
 )
 CLOTH_HANGING = Task(env_id="ClothHanging-v1", options={"resolution": 64, "graph_nodes": 25})
 ALL_TASKS = (ROPE_SHAPING, ROPE_WRAPPING, CLOTH_FOLDING, CLOTH_HANGING)
@@ -35,23 +34,52 @@ _ALL_NODES_SEEN = with_option("graph_nodes", None)
 """The object of the training, of which the policy sees every node: what changes by seeing more, not by simulating more."""
 
 
-def _is_better(text: str, source: str, than: Arm, task: Task | None = None, metric: str = "return", paper: str = "-",
-               conditions: tuple[str, ...] = (), measure: str = "gain") -> Claim:  # fmt: skip
+def _is_better(
+    text: str,
+    source: str,
+    than: Arm,
+    task: Task | None = None,
+    metric: str = "return",
+    paper: str = "-",
+    conditions: tuple[str, ...] = (),
+    measure: str = "gain",
+) -> Claim:
     """GRPD scores more than another arm."""
     name = None if task is None else task.name
     return Claim(
-        text=text, source=source, paper=paper, measure=measure, metric=metric, at_least=0.0,
-        ours=Side(GRPD.name, name, conditions), theirs=Side(than.name, name, conditions),
-    )  # fmt: skip
+        text=text,
+        source=source,
+        paper=paper,
+        measure=measure,
+        metric=metric,
+        at_least=0.0,
+        ours=Side(GRPD.name, name, conditions),
+        theirs=Side(than.name, name, conditions),
+    )
 
 
-def _retains(text: str, source: str, task: Task, conditions: tuple[str, ...], arm: Arm = GRPD, paper: str = "-",
-             at_least: float = 0.85, at_most: float = float("inf")) -> Claim:  # fmt: skip
+def _retains(
+    text: str,
+    source: str,
+    task: Task,
+    conditions: tuple[str, ...],
+    arm: Arm = GRPD,
+    paper: str = "-",
+    at_least: float = 0.85,
+    at_most: float = float("inf"),
+) -> Claim:
     """An arm keeps a share of its return under other conditions; 85 % where the paper gives no figure."""
     return Claim(
-        text=text, source=source, paper=paper, measure="ratio", metric="return", at_least=at_least, at_most=at_most,
-        ours=Side(arm.name, task.name, conditions), theirs=Side(arm.name, task.name),
-    )  # fmt: skip
+        text=text,
+        source=source,
+        paper=paper,
+        measure="ratio",
+        metric="return",
+        at_least=at_least,
+        at_most=at_most,
+        ours=Side(arm.name, task.name, conditions),
+        theirs=Side(arm.name, task.name),
+    )
 
 
 # ---------------------------------------------------------------------------------------------------------------------- main
@@ -68,10 +96,12 @@ MAIN = Study(
         _is_better("Higher return than the equivariant MPN", "III.C", EMPN, CLOTH_HANGING, paper="+18 %"),
         _is_better("Higher return than the Transformer", "III.C", TRANSFORMER, CLOTH_HANGING, paper="+32 %"),
         *(_is_better(f"Higher return than {arm.name}", "III.C", arm) for arm in BASELINES),
-        *(_is_better(f"Faster learning than {arm.name} (return over training)", "III.C", arm, ROPE_SHAPING, "training_return")
-          for arm in BASELINES),
+        *(
+            _is_better(f"Faster learning than {arm.name} (return over training)", "III.C", arm, ROPE_SHAPING, "training_return")
+            for arm in BASELINES
+        ),
     ),
-)  # fmt: skip
+)
 
 # -------------------------------------------------------------------------------------------------------------- equivariance
 
@@ -86,13 +116,27 @@ EQUIVARIANCE = Study(
     tasks=(CLOTH_FOLDING, CLOTH_HANGING, _NARROW.tested([_ALL_POSES])),
     arms=(GRPD, HETERO_GNN),
     claims=(
-        _is_better("Higher test success with equivariance", "III.D.a", HETERO_GNN, CLOTH_FOLDING, "success_at_end",
-                   "78 %, without 59 %", measure="difference"),
+        _is_better(
+            "Higher test success with equivariance",
+            "III.D.a",
+            HETERO_GNN,
+            CLOTH_FOLDING,
+            "success_at_end",
+            "78 %, without 59 %",
+            measure="difference",
+        ),
         _is_better("Without equivariance performance degrades", "B.B.b", HETERO_GNN, CLOTH_HANGING, paper="over 20 %"),
-        _is_better("Generalises to poses outside those of the training", "B.B.b", HETERO_GNN, _NARROW, "success_at_end",
-                   conditions=(_ALL_POSES.name,), measure="difference"),
+        _is_better(
+            "Generalises to poses outside those of the training",
+            "B.B.b",
+            HETERO_GNN,
+            _NARROW,
+            "success_at_end",
+            conditions=(_ALL_POSES.name,),
+            measure="difference",
+        ),
     ),
-)  # fmt: skip
+)
 
 # ------------------------------------------------------------------------------------------------------------- heterogeneity
 
@@ -121,12 +165,31 @@ BPP_VS_PPO = Study(
     metrics=("success_at_end", "return", "training_return"),
     plots=("curves", "bars"),
     claims=(
-        Claim(text="Smaller variance of returns over seeds", source="A.E.4", paper="-37 %", measure="spread", metric="return",
-              ours=Side("bpp", CLOTH_HANGING.name), theirs=Side("ppo", CLOTH_HANGING.name), at_most=0.0),
-        *(Claim(text="Higher return", source="III.D.c", paper="-", measure="gain", metric="return", at_least=0.0,
-                ours=Side("bpp", task.name), theirs=Side("ppo", task.name)) for task in (ROPE_WRAPPING, ROPE_SHAPING)),
+        Claim(
+            text="Smaller variance of returns over seeds",
+            source="A.E.4",
+            paper="-37 %",
+            measure="spread",
+            metric="return",
+            ours=Side("bpp", CLOTH_HANGING.name),
+            theirs=Side("ppo", CLOTH_HANGING.name),
+            at_most=0.0,
+        ),
+        *(
+            Claim(
+                text="Higher return",
+                source="III.D.c",
+                paper="-",
+                measure="gain",
+                metric="return",
+                at_least=0.0,
+                ours=Side("bpp", task.name),
+                theirs=Side("ppo", task.name),
+            )
+            for task in (ROPE_WRAPPING, ROPE_SHAPING)
+        ),
     ),
-)  # fmt: skip
+)
 
 # --------------------------------------------------------------------------------------------------------------------- noise
 
@@ -152,10 +215,12 @@ NOISE = Study(
     factor="sigma",
     claims=(
         *(_retains(f"Keeps its return at sigma = {sigma}", "III.E", ROPE_SHAPING, (f"sigma={sigma}",)) for sigma in SIGMAS[1:]),
-        *(_is_better(f"More return than {arm.name} at sigma = 0.05", "III.E", arm, ROPE_SHAPING, conditions=("sigma=0.05",))
-          for arm in BASELINES),
+        *(
+            _is_better(f"More return than {arm.name} at sigma = 0.05", "III.E", arm, ROPE_SHAPING, conditions=("sigma=0.05",))
+            for arm in BASELINES
+        ),
     ),
-)  # fmt: skip
+)
 
 # ---------------------------------------------------------------------------------------------------------------- resolution
 
@@ -206,12 +271,23 @@ UNSEEN_SHAPES = Study(
     arms=ALL_POLICIES,
     claims=(
         _retains("Keeps its return on hexagon, circle and L", "III.F", CLOTH_FOLDING, _UNSEEN_NAMES, paper="over 85 %"),
-        *(_retains(f"{arm.name} falls on hexagon, circle and L", "III.F", CLOTH_FOLDING, _UNSEEN_NAMES, arm, "below 60 %",
-                   at_least=0.0, at_most=0.6) for arm in BASELINES),
+        *(
+            _retains(
+                f"{arm.name} falls on hexagon, circle and L",
+                "III.F",
+                CLOTH_FOLDING,
+                _UNSEEN_NAMES,
+                arm,
+                "below 60 %",
+                at_least=0.0,
+                at_most=0.6,
+            )
+            for arm in BASELINES
+        ),
         _retains("Keeps its return with other holes", "B.D", CLOTH_HANGING, tuple(c.name for c in _UNSEEN_HOLES)),
         _retains("Lays a spiral", "B.B.a", _ROPE_SHAPES, ("shapes=spiral",)),
     ),
-)  # fmt: skip
+)
 
 # ------------------------------------------------------------------------------------------------------------------ grippers
 
@@ -250,25 +326,39 @@ POSE_RANGE = Study(
     factor="pose_range",
     claims=(
         *(_is_better(f"Higher return than {arm.name} in the full space", "Fig. 4", arm, _RANGES["full"]) for arm in BASELINES),
-        Claim(text="Improves as the space is reduced", source="Fig. 4", paper="-", measure="gain", metric="return", at_least=0.0,
-              ours=Side("grpd", _RANGES["quarter"].name), theirs=Side("grpd", _RANGES["full"].name)),
+        Claim(
+            text="Improves as the space is reduced",
+            source="Fig. 4",
+            paper="-",
+            measure="gain",
+            metric="return",
+            at_least=0.0,
+            ours=Side("grpd", _RANGES["quarter"].name),
+            theirs=Side("grpd", _RANGES["full"].name),
+        ),
     ),
-)  # fmt: skip
+)
 
 # ---------------------------------------------------------------------------------------------------------------------- cost
 
 _SIZES = {
-    num: Task(
-        env_id=env_id, options={"resolution": num, "graph_nodes": None}, conditions=(), label=f"{env_id}, {num:,} nodes"
-    )
+    num: Task(env_id=env_id, options={"resolution": num, "graph_nodes": None}, conditions=(), label=f"{env_id}, {num:,} nodes")
     for env_id, nums in (("RopeShaping-v1", (25, 50, 100, 200)), ("ClothHanging-v1", (400, 1225)))
     for num in nums
 }
 
 
 def _takes(text: str, source: str, paper: str, ours: Side, theirs: Side, at_most: float) -> Claim:
-    return Claim(text=text, source=source, paper=paper, measure="ratio", metric="iteration_seconds", ours=ours, theirs=theirs,
-                 at_most=at_most)  # fmt: skip
+    return Claim(
+        text=text,
+        source=source,
+        paper=paper,
+        measure="ratio",
+        metric="iteration_seconds",
+        ours=ours,
+        theirs=theirs,
+        at_most=at_most,
+    )
 
 
 COST = Study(
@@ -284,14 +374,32 @@ COST = Study(
     budget=1200,
     train_options={"num_envs": 8, "num_steps": 50, "num_minibatches": 8, "update_epochs": 1, "eval_freq": 0},
     claims=(
-        _takes("At most 1.2 times the time of EMPN", "III.G", "1.2x", Side("grpd", _SIZES[200].name),
-               Side("empn", _SIZES[200].name), 1.2),
-        _takes("Faster than the Transformer at 1,225 nodes", "III.G", "significantly", Side("grpd", _SIZES[1225].name),
-               Side("transformer", _SIZES[1225].name), 1.0),
-        _takes("Grows no faster than the nodes from 400 to 1,225", "III.G", "linear", Side("grpd", _SIZES[1225].name),
-               Side("grpd", _SIZES[400].name), 1225 / 400),
+        _takes(
+            "At most 1.2 times the time of EMPN",
+            "III.G",
+            "1.2x",
+            Side("grpd", _SIZES[200].name),
+            Side("empn", _SIZES[200].name),
+            1.2,
+        ),
+        _takes(
+            "Faster than the Transformer at 1,225 nodes",
+            "III.G",
+            "significantly",
+            Side("grpd", _SIZES[1225].name),
+            Side("transformer", _SIZES[1225].name),
+            1.0,
+        ),
+        _takes(
+            "Grows no faster than the nodes from 400 to 1,225",
+            "III.G",
+            "linear",
+            Side("grpd", _SIZES[1225].name),
+            Side("grpd", _SIZES[400].name),
+            1225 / 400,
+        ),
     ),
-)  # fmt: skip
+)
 
 # -------------------------------------------------------------------------------------------------------------- trust_region
 
@@ -331,9 +439,21 @@ DECODER = Study(
 
 STUDIES: dict[str, Study] = {
     study.name: study
-    for study in (MAIN, EQUIVARIANCE, HETEROGENEITY, BPP_VS_PPO, NOISE, RESOLUTION, UNSEEN_SHAPES, GRIPPERS, POSE_RANGE, COST,
-                  TRUST_REGION, DECODER)
-}  # fmt: skip
+    for study in (
+        MAIN,
+        EQUIVARIANCE,
+        HETEROGENEITY,
+        BPP_VS_PPO,
+        NOISE,
+        RESOLUTION,
+        UNSEEN_SHAPES,
+        GRIPPERS,
+        POSE_RANGE,
+        COST,
+        TRUST_REGION,
+        DECODER,
+    )
+}
 """All studies by name, in the order in which a reader meets them."""
 
 

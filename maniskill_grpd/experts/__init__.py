@@ -36,10 +36,7 @@ def make_expert(env_id: str, env: Any) -> Expert:
         raise ValueError(f"{env_id!r} has no expert; tasks with one are {sorted(EXPERTS)}")
     expert = EXPERTS[env_id]
     if not isinstance(env.unwrapped, expert.task):
-        raise ValueError(
-            f"the expert of {env_id!r} acts in a {expert.task.__name__}, "
-            f"got a {type(env.unwrapped).__name__}"
-        )
+        raise ValueError(f"the expert of {env_id!r} acts in a {expert.task.__name__}, got a {type(env.unwrapped).__name__}")
     return expert(env)
 
 

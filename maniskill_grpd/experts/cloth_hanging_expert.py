@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import torch
-from mani_skill.utils.geometry.rotation_conversions import (
-    axis_angle_to_matrix,
-    matrix_to_quaternion,
-    quaternion_to_axis_angle,
-)
+from mani_skill.utils.geometry.rotation_conversions import axis_angle_to_matrix, matrix_to_quaternion, quaternion_to_axis_angle
 
 from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts.expert import Expert

@@ -4,12 +4,4 @@ from maniskill_grpd.graphs.export import from_hetero_data, to_hetero_data, to_ne
 from maniskill_grpd.graphs.normalization import GraphNormalizer
 from maniskill_grpd.graphs.schema import Channel, GraphSchema, NodeSchema
 
-__all__ = [
-    "Channel",
-    "GraphNormalizer",
-    "GraphSchema",
-    "NodeSchema",
-    "from_hetero_data",
-    "to_hetero_data",
-    "to_networkx",
-]
+__all__ = ["Channel", "GraphNormalizer", "GraphSchema", "NodeSchema", "from_hetero_data", "to_hetero_data", "to_networkx"]

@@ -119,9 +119,7 @@ def to_networkx(graph: Mapping[str, Any], schema: GraphSchema, index: int = 0) -
         nodes, channels = graph[node_type], schema.node(node_type)
         for i in present[node_type]:
             values = {c.name: nodes["vectors"][index, i, k] for k, c in enumerate(channels.vectors)}
-            values |= {
-                c.name: nodes["scalars"][index, i, k] for k, c in enumerate(channels.scalars)
-            }
+            values |= {c.name: nodes["scalars"][index, i, k] for k, c in enumerate(channels.scalars)}
             attributes = {name: value.tolist() for name, value in values.items()}
             place = nodes["position"][index, i].tolist()
             result.add_node((node_type, i), type=node_type, pos=place, **attributes)
@@ -165,9 +163,7 @@ def _mesh_edges(neighbors: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     return torch.stack([senders[exists], receivers[exists]])
 
 
-def _complete_edges(
-    senders: torch.Tensor, receivers: torch.Tensor, allowed: torch.Tensor | None
-) -> torch.Tensor:
+def _complete_edges(senders: torch.Tensor, receivers: torch.Tensor, allowed: torch.Tensor | None) -> torch.Tensor:
     """Edges (2, E) between all unmasked nodes of a graph, by receiver; `allowed` is (R, S)."""
     exists = receivers[:, :, None] & senders[:, None]
     if allowed is not None:
@@ -211,9 +207,7 @@ def _dense_nodes(store: Any, node_type: str, num_graphs: int) -> dict[str, torch
     return dense
 
 
-def _dense_neighbors(
-    edge_index: torch.Tensor, batch: torch.Tensor, mask: torch.Tensor
-) -> torch.Tensor:
+def _dense_neighbors(edge_index: torch.Tensor, batch: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
     """Neighbour lists (B, N, K), -1 padded, from edges (2, E)."""
     place, _ = _places(batch, mask.shape[0])
     order = edge_index[1].argsort(stable=True)
@@ -233,6 +227,5 @@ def _import(name: str, extra: str) -> ModuleType:
         return importlib.import_module(name)
     except ImportError as error:
         raise ImportError(
-            f"exporting graphs needs {name}; install it with: "
-            f"pip install 'maniskill-grpd[{extra}]'  (or: pip install {name})"
+            f"exporting graphs needs {name}; install it with: pip install 'maniskill-grpd[{extra}]'  (or: pip install {name})"
         ) from error

@@ -58,10 +58,7 @@ class GraphNormalizer(nn.Module):
             count += seen
             # A batch without nodes has fraction 0 and therefore changes nothing.
             fraction = seen.to(weight.dtype) / count.clamp(min=1).to(weight.dtype)
-            squares = {
-                "vectors": nodes["vectors"].square().sum(-1) / 3.0,
-                "scalars": nodes["scalars"].square(),
-            }
+            squares = {"vectors": nodes["vectors"].square().sum(-1) / 3.0, "scalars": nodes["scalars"].square()}
             for kind, square in squares.items():
                 # Padding may hold anything, even NaN; a product with zero would let it through.
                 square = torch.where(nodes["mask"][..., None], square, torch.zeros_like(square))

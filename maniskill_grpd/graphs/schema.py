@@ -33,9 +33,7 @@ class Channel:
 
     def __post_init__(self) -> None:
         if self.kind not in ("vector", "scalar"):
-            raise ValueError(
-                f'kind of channel {self.name!r} must be "vector" or "scalar", got {self.kind!r}'
-            )
+            raise ValueError(f'kind of channel {self.name!r} must be "vector" or "scalar", got {self.kind!r}')
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,7 @@ class NodeSchema:
         for kind, channels in (("vector", self.vectors), ("scalar", self.scalars)):
             wrong = [channel.name for channel in channels if channel.kind != kind]
             if wrong:
-                raise ValueError(
-                    f"channels {wrong} stand among the {kind}s but are of another kind"
-                )
+                raise ValueError(f"channels {wrong} stand among the {kind}s but are of another kind")
             names = [channel.name for channel in channels]
             if len(set(names)) != len(names):
                 raise ValueError(f"names of {kind} channels must be unique, got {names}")
@@ -120,9 +116,7 @@ class GraphSchema:
         """
         for node_type in NODE_TYPES:
             if node_type not in graph:
-                raise ValueError(
-                    f"graph must have the keys {[*NODE_TYPES, 'gravity']}, got {sorted(graph)}"
-                )
+                raise ValueError(f"graph must have the keys {[*NODE_TYPES, 'gravity']}, got {sorted(graph)}")
         if "gravity" not in graph:
             raise ValueError("graph must have the key 'gravity' (B, 3) [m/s^2]")
         batch = _shape(graph["object"], "object", "position")[0]
@@ -151,11 +145,7 @@ class GraphSchema:
             )
             for node_type in NODE_TYPES
         }
-        return cls(
-            **nodes,
-            length_scale=float(plain["length_scale"]),
-            edge_length=float(plain["edge_length"]),
-        )
+        return cls(**nodes, length_scale=float(plain["length_scale"]), edge_length=float(plain["edge_length"]))
 
     def describe(self) -> str:
         """Table of all channels for people."""
@@ -163,24 +153,16 @@ class GraphSchema:
         for node_type in NODE_TYPES:
             node = self.node(node_type)
             for channels in (node.vectors, node.scalars):
-                rows += [
-                    (node_type, c.kind, str(i), c.name, c.unit or "-", c.source)
-                    for i, c in enumerate(channels)
-                ]
+                rows += [(node_type, c.kind, str(i), c.name, c.unit or "-", c.source) for i, c in enumerate(channels)]
         rows.append(("graph", "vector", "-", "gravity", "m/s^2", "design"))
         widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-        lines = [
-            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
+        lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         lines.insert(1, "  ".join("-" * width for width in widths))
         lines.append(f"length_scale {self.length_scale:g} m, edge_length {self.edge_length:g} m")
         return "\n".join(lines)
 
 
-def _validate_nodes(
-    nodes: Mapping[str, torch.Tensor], node_type: str, schema: NodeSchema, batch: int
-) -> None:
+def _validate_nodes(nodes: Mapping[str, torch.Tensor], node_type: str, schema: NodeSchema, batch: int) -> None:
     shape = _shape(nodes, node_type, "position")
     count = shape[1] if len(shape) > 1 else -1
     expected = {
@@ -211,8 +193,7 @@ def _validate_values(graph: Mapping[str, Any]) -> None:
     count = graph["object"]["position"].shape[1]
     if neighbors.numel() and not bool(((neighbors >= -1) & (neighbors < count)).all()):
         raise ValueError(
-            f"object.neighbors must be in [-1, {count}), got values in "
-            f"[{int(neighbors.min())}, {int(neighbors.max())}]"
+            f"object.neighbors must be in [-1, {count}), got values in [{int(neighbors.min())}, {int(neighbors.max())}]"
         )
     for node_type in NODE_TYPES:
         for key in ("position", "vectors", "scalars"):
@@ -228,9 +209,7 @@ def _shape(nodes: Mapping[str, torch.Tensor], node_type: str, key: str) -> torch
     return nodes[key].shape
 
 
-def _expect_shape(
-    name: str, tensor: torch.Tensor, shape: tuple[int, ...], channels: tuple[Channel, ...] = ()
-) -> None:
+def _expect_shape(name: str, tensor: torch.Tensor, shape: tuple[int, ...], channels: tuple[Channel, ...] = ()) -> None:
     if tuple(tensor.shape) != shape:
         names = ", ".join(channel.name for channel in channels)
         raise ValueError(

@@ -41,19 +41,13 @@ def _projection(config: TrainConfig) -> BPP:
 
 def _lagrangian(config: TrainConfig) -> LagrangianBPP:
     return LagrangianBPP(
-        bounds=_bounds(config),
-        dual_step=config.dual_step,
-        max_multiplier=config.max_multiplier,
-        ent_coef=config.ent_coef,
+        bounds=_bounds(config), dual_step=config.dual_step, max_multiplier=config.max_multiplier, ent_coef=config.ent_coef
     )
 
 
 def _fisher(config: TrainConfig) -> FisherBPP:
     return FisherBPP(
-        bounds=_bounds(config),
-        num_samples=config.fisher_samples,
-        damping=config.fisher_damping,
-        ent_coef=config.ent_coef,
+        bounds=_bounds(config), num_samples=config.fisher_samples, damping=config.fisher_damping, ent_coef=config.ent_coef
     )
 
 

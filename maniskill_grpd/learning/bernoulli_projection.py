@@ -27,9 +27,7 @@ _LARGEST_LOGIT = 40.0
 """sigmoid(40) differs from 1 by less than float64 resolves; beyond it, the KL has no slope left."""
 
 
-def project_bernoulli(
-    logits: torch.Tensor, old_logits: torch.Tensor, *, bound: float
-) -> torch.Tensor:
+def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: float) -> torch.Tensor:
     """Clamp log-odds so that the KL to the old variable stays within a bound.
 
     Variables inside the bound come back bitwise unchanged; one that is clamped has no gradient, the
@@ -49,10 +47,7 @@ def project_bernoulli(
     if not (math.isfinite(bound) and bound > 0.0):
         raise ValueError(f"bound must be positive and finite, got {bound}")
     if logits.shape != old_logits.shape:
-        raise ValueError(
-            f"logits and old_logits must share a shape, got {tuple(logits.shape)} and "
-            f"{tuple(old_logits.shape)}"
-        )
+        raise ValueError(f"logits and old_logits must share a shape, got {tuple(logits.shape)} and {tuple(old_logits.shape)}")
     with torch.no_grad():
         new, old = logits.double(), old_logits.double()
         active = bernoulli_kl(new, old) > bound

@@ -12,14 +12,7 @@ from maniskill_grpd.learning.config import Coefficients
 from maniskill_grpd.learning.entropy_floor import raise_entropy
 from maniskill_grpd.learning.projection import project_unchecked
 from maniskill_grpd.learning.rollout import Batch
-from maniskill_grpd.learning.trust_region import (
-    Bounds,
-    activity_metrics,
-    detached,
-    kl_metrics,
-    kl_parts,
-    old_distribution,
-)
+from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, detached, kl_metrics, kl_parts, old_distribution
 from maniskill_grpd.learning.update import FirstOrderAlgorithm
 from maniskill_grpd.policies import ActionDistribution
 
@@ -52,9 +45,7 @@ class BPP(FirstOrderAlgorithm):
         super().adopt(coefficients)
         self.entropy_floor = coefficients.entropy_floor
 
-    def policy_loss(
-        self, dist: ActionDistribution, batch: Batch
-    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """See `FirstOrderAlgorithm.policy_loss`."""
         projected = self.project(dist, old_distribution(dist, batch))
         log_ratio = projected.log_prob(batch.actions) - batch.log_probs
@@ -74,9 +65,7 @@ class BPP(FirstOrderAlgorithm):
         std = dist.std
         if self.entropy_floor is not None:
             std = raise_entropy(std, self.entropy_floor, dist.mean.shape[-1])
-        mean, std = project_unchecked(
-            dist.mean, std, old.mean, old.std, mean_bound=self.bounds.mean, cov_bound=self.bounds.cov
-        )
+        mean, std = project_unchecked(dist.mean, std, old.mean, old.std, mean_bound=self.bounds.mean, cov_bound=self.bounds.cov)
         logits = dist.gripper_logits
         if logits is not None:
             logits = project_bernoulli(logits, old.gripper_logits, bound=self.bounds.gripper)

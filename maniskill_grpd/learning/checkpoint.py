@@ -35,14 +35,7 @@ _KEYS = {
 _LATER_KEYS: dict[str, Any] = {"algorithm": {}}
 """What entries that older checkpoints lack stand at in those."""
 
-_UNREADABLE = (
-    RuntimeError,
-    OSError,
-    EOFError,
-    ValueError,
-    pickle.UnpicklingError,
-    zipfile.BadZipFile,
-)
+_UNREADABLE = (RuntimeError, OSError, EOFError, ValueError, pickle.UnpicklingError, zipfile.BadZipFile)
 """What torch.load raises for files that are cut short or are something else."""
 
 
@@ -72,14 +65,10 @@ def save_checkpoint(path: str | os.PathLike[str], contents: dict[str, Any]) -> N
         _write_atomically(path, buffer.getbuffer())
     except OSError as error:
         kept = "the previous one is intact" if path.exists() else "nothing was written"
-        raise OSError(
-            error.errno, f"cannot write checkpoint ({error.strerror}; {kept})", str(path)
-        ) from error
+        raise OSError(error.errno, f"cannot write checkpoint ({error.strerror}; {kept})", str(path)) from error
 
 
-def load_checkpoint(
-    path: str | os.PathLike[str], device: str | torch.device = "cpu"
-) -> dict[str, Any]:
+def load_checkpoint(path: str | os.PathLike[str], device: str | torch.device = "cpu") -> dict[str, Any]:
     """Read a checkpoint.
 
     Args:
@@ -98,10 +87,7 @@ def load_checkpoint(
     if not path.is_file():
         raise FileNotFoundError(f"no checkpoint at {path}")
     data = path.read_bytes()  # apart from the parsing, which reports a cut file as an OSError too
-    unreadable = (
-        f"{path} cannot be read: it is truncated or not a checkpoint of this package "
-        f"({len(data)} bytes)"
-    )
+    unreadable = f"{path} cannot be read: it is truncated or not a checkpoint of this package ({len(data)} bytes)"
     # Anything but a zip archive would go to the parser of an old format, which fails in many ways.
     if not zipfile.is_zipfile(io.BytesIO(data)):
         raise CheckpointError(unreadable)
@@ -113,9 +99,7 @@ def load_checkpoint(
         raise CheckpointError(f"{path} was written by another program, not by maniskill_grpd")
     version = contents.get("version")
     if version not in (1, VERSION):
-        raise CheckpointError(
-            f"{path} has checkpoint version {version}, this package reads 1 and {VERSION}"
-        )
+        raise CheckpointError(f"{path} has checkpoint version {version}, this package reads 1 and {VERSION}")
     contents = {**_LATER_KEYS, **contents}
     missing = sorted(set(_KEYS) - set(contents))
     if missing:
@@ -146,9 +130,7 @@ def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:
     """
     differences = describe_differences(contents["policy"], policy.config)
     if differences:
-        raise CheckpointError(
-            "the checkpoint does not fit this policy: " + "; ".join(differences[:8])
-        )
+        raise CheckpointError("the checkpoint does not fit this policy: " + "; ".join(differences[:8]))
     try:
         policy.load_state_dict(contents["weights"])
     except RuntimeError as error:

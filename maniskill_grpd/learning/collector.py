@@ -66,11 +66,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(
-        self,
-        policy: Any,
-        value_scale: ValueScale,
-        generator: torch.Generator,
-        where: str,
+        self, policy: Any, value_scale: ValueScale, generator: torch.Generator, where: str
     ) -> tuple[Rollout, dict[str, float]]:
         """Take `num_steps` steps in every environment with sampled actions.
 

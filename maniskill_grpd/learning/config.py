@@ -239,26 +239,20 @@ class TrainConfig:
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
-                raise ValueError(
-                    f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}"
-                )
+                raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
 
     def _check_contradictions(self) -> None:
         is_projection = self.algorithm == "bpp" and self.trust_region == "projection"
         is_fisher = self.algorithm == "bpp" and self.trust_region == "fisher"
         found = {
-            "--resume continues a run and --checkpoint starts a new one; give one of them": (
-                self.resume and self.checkpoint
-            ),
+            "--resume continues a run and --checkpoint starts a new one; give one of them": (self.resume and self.checkpoint),
             f"--trust_region {self.trust_region} belongs to --algorithm bpp, not to ppo": (
                 self.algorithm == "ppo" and self.trust_region != "projection"
             ),
             f"--anneal_lr is linear, --lr_schedule says {self.lr_schedule}; give one of them": (
                 self.anneal_lr and self.lr_schedule == "cosine"
             ),
-            "--ent_schedule changes --ent_coef, which is 0; set it too": (
-                self.ent_schedule != "constant" and not self.ent_coef
-            ),
+            "--ent_schedule changes --ent_coef, which is 0; set it too": (self.ent_schedule != "constant" and not self.ent_coef),
             "--noise_schedule changes --noise_correlation, which is 0; set it too": (
                 self.noise_schedule != "constant" and not self.noise_correlation
             ),
@@ -271,9 +265,7 @@ class TrainConfig:
             "--target_kl ends minibatch updates early; --trust_region fisher has a line search": (
                 self.target_kl is not None and is_fisher
             ),
-            "--compile has no second derivatives, which --trust_region fisher needs; drop one": (
-                self.compile and is_fisher
-            ),
+            "--compile has no second derivatives, which --trust_region fisher needs; drop one": (self.compile and is_fisher),
         }
         for message, is_wrong in found.items():
             if is_wrong:
@@ -288,10 +280,7 @@ class TrainConfig:
         require_positive(self, *positive.split())
         if not 1.0 < self.max_multiplier < math.inf:
             raise ValueError(f"max_multiplier must be above 1, got {self.max_multiplier}")
-        not_negative = (
-            "seed eval_freq chunk_size ent_coef vf_coef trust_region_coef position_noise "
-            "velocity_noise"
-        )
+        not_negative = "seed eval_freq chunk_size ent_coef vf_coef trust_region_coef position_noise velocity_noise"
         for name in not_negative.split():
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")

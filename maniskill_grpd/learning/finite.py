@@ -49,7 +49,5 @@ def check_graph_finite(graph: Graph, where: str) -> None:
             continue
         mask = masks.get(f"{name.rpartition('.')[0]}.mask")
         if mask is not None:
-            tensor = torch.where(
-                mask.reshape(mask.shape + (1,) * (tensor.ndim - mask.ndim)), tensor, 0.0
-            )
+            tensor = torch.where(mask.reshape(mask.shape + (1,) * (tensor.ndim - mask.ndim)), tensor, 0.0)
         check_finite(f"observation {name}", tensor, where)

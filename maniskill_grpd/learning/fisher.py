@@ -9,22 +9,8 @@ import torch
 
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import (
-    Bounds,
-    KLParts,
-    activity_metrics,
-    kl_metrics,
-    kl_parts,
-    old_distribution,
-)
-from maniskill_grpd.learning.update import (
-    Algorithm,
-    Learner,
-    Metrics,
-    apply_gradients,
-    mean_std,
-    summarize,
-)
+from maniskill_grpd.learning.trust_region import Bounds, KLParts, activity_metrics, kl_metrics, kl_parts, old_distribution
+from maniskill_grpd.learning.update import Algorithm, Learner, Metrics, apply_gradients, mean_std, summarize
 from maniskill_grpd.policies import ActionDistribution
 
 _CG_STEPS = 10
@@ -65,27 +51,20 @@ class FisherBPP(Algorithm):
     def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
         """See `Algorithm.update`."""
         local = rollout.num_steps * rollout.num_envs
-        batch = learner.normalize_advantages(
-            rollout.select(torch.arange(local, device=rollout.rewards.device))
-        )
+        batch = learner.normalize_advantages(rollout.select(torch.arange(local, device=rollout.rewards.device)))
         actor, critic = split_parameters(learner, batch)
         metrics = self._step_policy(learner, batch, actor)
         metrics |= _fit_values(learner, rollout, critic)
         return metrics
 
-    def _step_policy(
-        self, learner: Learner, batch: Batch, actor: list[torch.Tensor]
-    ) -> dict[str, float]:
+    def _step_policy(self, learner: Learner, batch: Batch, actor: list[torch.Tensor]) -> dict[str, float]:
         before, gradient = self._objective_gradient(learner, batch, actor)
         if not torch.isfinite(gradient).all():
             raise NonFiniteError(
-                "the gradient of the surrogate is not finite. Training stopped before the step; "
-                "the last checkpoint is untouched."
+                "the gradient of the surrogate is not finite. Training stopped before the step; the last checkpoint is untouched."
             )
         samples = self._fisher_samples(learner, batch)
-        direction = conjugate_gradient(
-            lambda v: fisher_product(learner, samples, actor, v) + self.damping * v, gradient
-        )
+        direction = conjugate_gradient(lambda v: fisher_product(learner, samples, actor, v) + self.damping * v, gradient)
         # x^T F x = 2 KL of the joint action at unit step, of all actuators.
         curvature = (direction @ fisher_product(learner, samples, actor, direction)).clamp_min(1e-20)
         length = (2.0 * self._joint_bound(learner, batch) / curvature).sqrt()
@@ -98,9 +77,7 @@ class FisherBPP(Algorithm):
         _assign(actor, start)
         return {**self._measure(learner, batch)[2], "step_size": 0.0}
 
-    def _objective_gradient(
-        self, learner: Learner, batch: Batch, actor: list[torch.Tensor]
-    ) -> tuple[float, Vector]:
+    def _objective_gradient(self, learner: Learner, batch: Batch, actor: list[torch.Tensor]) -> tuple[float, Vector]:
         """Return the surrogate with entropy bonus, and its gradient, over all processes."""
         value, gradient = torch.zeros((), device=batch.actions.device), 0.0
         for chunk, share in _shares(batch):
@@ -128,9 +105,7 @@ class FisherBPP(Algorithm):
         return per_actuator * (learner.workers.sum(count) / learner.workers.size).item()
 
     @torch.no_grad()
-    def _measure(
-        self, learner: Learner, batch: Batch
-    ) -> tuple[float, KLParts, dict[str, float]]:
+    def _measure(self, learner: Learner, batch: Batch) -> tuple[float, KLParts, dict[str, float]]:
         """Return the objective, the mean KL parts per actuator, and what is logged, over all processes."""
         rows: list[Metrics] = []
         for chunk, share in _shares(batch):
@@ -153,15 +128,10 @@ class FisherBPP(Algorithm):
         return objective, kl, {"policy_loss": policy_loss, **metrics}
 
     def _is_inside(self, kl: KLParts) -> bool:
-        return all(
-            part <= getattr(self.bounds, name)
-            for name, part in zip(KLParts._fields, kl, strict=True)
-        )
+        return all(part <= getattr(self.bounds, name) for name, part in zip(KLParts._fields, kl, strict=True))
 
 
-def split_parameters(
-    learner: Learner, batch: Batch
-) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+def split_parameters(learner: Learner, batch: Batch) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
     """Return the parameters that the policy depends on, and the others.
 
     Args:
@@ -178,9 +148,7 @@ def split_parameters(
     return [p for p, g in pairs if g is not None], [p for p, g in pairs if g is None]
 
 
-def fisher_product(
-    learner: Learner, samples: Batch, actor: list[torch.Tensor], vector: Vector
-) -> Vector:
+def fisher_product(learner: Learner, samples: Batch, actor: list[torch.Tensor], vector: Vector) -> Vector:
     """Return F v = E[s (s . v)], s the gradient of the log density of a transition (eq. 68).
 
     No gradient of a single transition is formed: with weights w, J^T w is a gradient; it is linear
@@ -224,9 +192,7 @@ def conjugate_gradient(product: Callable[[Vector], Vector], target: Vector) -> V
     return solution
 
 
-def _fit_values(
-    learner: Learner, rollout: Rollout, critic: list[torch.Tensor]
-) -> dict[str, float]:
+def _fit_values(learner: Learner, rollout: Rollout, critic: list[torch.Tensor]) -> dict[str, float]:
     """Regress the value function's own weights on the returns."""
     rows: list[Metrics] = []
     for epoch in range(learner.config.update_epochs):
@@ -240,9 +206,7 @@ def _fit_values(
     return summarize(rows, learner.workers)
 
 
-def _accumulate_value_gradients(
-    learner: Learner, batch: Batch, critic: list[torch.Tensor]
-) -> Metrics:
+def _accumulate_value_gradients(learner: Learner, batch: Batch, critic: list[torch.Tensor]) -> Metrics:
     total = torch.zeros((), device=batch.actions.device)
     for chunk in learner.chunks(batch):
         loss = learner.value_loss(learner.evaluate(chunk.graph)[1], chunk) * len(chunk) / len(batch)

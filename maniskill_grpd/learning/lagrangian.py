@@ -9,14 +9,7 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import (
-    Bounds,
-    KLParts,
-    activity_metrics,
-    kl_metrics,
-    kl_parts,
-    old_distribution,
-)
+from maniskill_grpd.learning.trust_region import Bounds, KLParts, activity_metrics, kl_metrics, kl_parts, old_distribution
 from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner
 from maniskill_grpd.policies import ActionDistribution
 
@@ -43,13 +36,9 @@ class LagrangianBPP(FirstOrderAlgorithm):
     bounds: Bounds
     dual_step: float
     max_multiplier: float
-    multipliers: dict[str, float] = field(
-        default_factory=lambda: dict.fromkeys(KLParts._fields, _FIRST_MULTIPLIER)
-    )
+    multipliers: dict[str, float] = field(default_factory=lambda: dict.fromkeys(KLParts._fields, _FIRST_MULTIPLIER))
 
-    def policy_loss(
-        self, dist: ActionDistribution, batch: Batch
-    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """See `FirstOrderAlgorithm.policy_loss`."""
         ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
         surrogate_loss = -(ratio * batch.advantages).mean()
@@ -59,11 +48,7 @@ class LagrangianBPP(FirstOrderAlgorithm):
         }
         entropy = dist.entropy().mean()
         penalty = sum(penalties.values())
-        metrics = {
-            "policy_loss": surrogate_loss.detach(),
-            "trust_region_loss": penalty.detach(),
-            "entropy": entropy.detach(),
-        }
+        metrics = {"policy_loss": surrogate_loss.detach(), "trust_region_loss": penalty.detach(), "entropy": entropy.detach()}
         return surrogate_loss + penalty - self.ent_coef * entropy, metrics
 
     @torch.no_grad()
@@ -107,7 +92,4 @@ class LagrangianBPP(FirstOrderAlgorithm):
     def _shares(self, dist: ActionDistribution, parts: KLParts) -> dict[str, torch.Tensor]:
         """Return each part, averaged over states and actuators, over its bound."""
         count = dist.mask.sum().clamp(min=1)
-        return {
-            name: part.sum() / count / getattr(self.bounds, name)
-            for name, part in zip(KLParts._fields, parts, strict=True)
-        }
+        return {name: part.sum() / count / getattr(self.bounds, name) for name, part in zip(KLParts._fields, parts, strict=True)}

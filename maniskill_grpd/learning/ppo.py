@@ -21,9 +21,7 @@ class PPO(FirstOrderAlgorithm):
 
     clip_coef: float
 
-    def policy_loss(
-        self, dist: ActionDistribution, batch: Batch
-    ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
         """See `FirstOrderAlgorithm.policy_loss`."""
         ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
         clipped = ratio.clamp(1.0 - self.clip_coef, 1.0 + self.clip_coef)

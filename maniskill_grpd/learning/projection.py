@@ -32,13 +32,7 @@ _SHRINK_ULPS = 4
 
 
 def project_gaussian(
-    mean: torch.Tensor,
-    std: torch.Tensor,
-    old_mean: torch.Tensor,
-    old_std: torch.Tensor,
-    *,
-    mean_bound: float,
-    cov_bound: float,
+    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor, *, mean_bound: float, cov_bound: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Project Gaussians so that each KL part to the old Gaussians stays within its bound.
 
@@ -64,19 +58,11 @@ def project_gaussian(
     _check_bound("mean_bound", mean_bound)
     _check_bound("cov_bound", cov_bound)
     _check_gaussians(mean, std, old_mean, old_std)
-    return project_unchecked(
-        mean, std, old_mean, old_std, mean_bound=mean_bound, cov_bound=cov_bound
-    )
+    return project_unchecked(mean, std, old_mean, old_std, mean_bound=mean_bound, cov_bound=cov_bound)
 
 
 def project_unchecked(
-    mean: torch.Tensor,
-    std: torch.Tensor,
-    old_mean: torch.Tensor,
-    old_std: torch.Tensor,
-    *,
-    mean_bound: float,
-    cov_bound: float,
+    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor, *, mean_bound: float, cov_bound: float
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Do the work of `project_gaussian`, whose checks each wait for the device."""
     projected_mean = _project_mean(mean, old_mean, old_std, mean_bound)
@@ -143,9 +129,7 @@ def _polish_root(ratio: float, excess: float) -> float:
     return ratio
 
 
-def _project_mean(
-    mean: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor, bound: float
-) -> torch.Tensor:
+def _project_mean(mean: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor, bound: float) -> torch.Tensor:
     """Scale the step old_mean -> mean back to the ellipsoid KL_mean = bound where it is outside."""
     step = mean - old_mean
     kl = 0.5 * (step / old_std).square().sum(-1, keepdim=True)
@@ -153,21 +137,15 @@ def _project_mean(
     # Masking the input, not the output: sqrt at kl = 0 has an infinite gradient.
     shrink = 1.0 - _SHRINK_ULPS * torch.finfo(mean.dtype).eps
     scale = shrink * (bound / torch.where(active, kl, bound)).sqrt()
-    projected = _round_inside(
-        old_mean + scale * step, old_mean, lambda x: _kl_mean(x, old_mean, old_std) > bound
-    )
+    projected = _round_inside(old_mean + scale * step, old_mean, lambda x: _kl_mean(x, old_mean, old_std) > bound)
     return torch.where(active, projected, mean)
 
 
-def _project_isotropic(
-    std: torch.Tensor, old_std: torch.Tensor, dim: int, bound: float
-) -> torch.Tensor:
+def _project_isotropic(std: torch.Tensor, old_std: torch.Tensor, dim: int, bound: float) -> torch.Tensor:
     """Clamp std / old_std to the two constant ratios at which KL_cov = bound (diagonal in closed form)."""
     low, high = isotropic_std_ratios(bound, dim)
     shrink = _SHRINK_ULPS * torch.finfo(std.dtype).eps
-    return torch.clamp(
-        std, min=old_std * min(low + shrink, 1.0), max=old_std * max(high - shrink, 1.0)
-    )
+    return torch.clamp(std, min=old_std * min(low + shrink, 1.0), max=old_std * max(high - shrink, 1.0))
 
 
 def _project_diagonal(std: torch.Tensor, old_std: torch.Tensor, bound: float) -> torch.Tensor:
@@ -250,9 +228,7 @@ def _kl_cov(std: torch.Tensor, old_std: torch.Tensor, dim: int) -> torch.Tensor:
     new, old = std.double(), old_std.double()
     excess = (new - old) * (new + old) / old.square()
     # std far below old_std: 1 + excess has lost the ratio, its logarithm must come from std itself.
-    log_ratio = torch.where(
-        excess > -0.5, torch.log1p(excess.clamp_min(-0.5)), 2.0 * (new.log() - old.log())
-    )
+    log_ratio = torch.where(excess > -0.5, torch.log1p(excess.clamp_min(-0.5)), 2.0 * (new.log() - old.log()))
     copies = dim if std.shape[-1] == 1 else 1
     return (0.5 * copies * (excess - log_ratio).sum(-1)).to(std.dtype)
 
@@ -262,23 +238,13 @@ def _check_bound(name: str, bound: float) -> None:
         raise ValueError(f"{name} must be positive and finite, got {bound}")
 
 
-def _check_gaussians(
-    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor
-) -> None:
+def _check_gaussians(mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor) -> None:
     if mean.ndim == 0 or old_mean.shape != mean.shape:
-        raise ValueError(
-            "mean and old_mean must share a shape (..., d), got "
-            f"{tuple(mean.shape)} and {tuple(old_mean.shape)}"
-        )
+        raise ValueError(f"mean and old_mean must share a shape (..., d), got {tuple(mean.shape)} and {tuple(old_mean.shape)}")
     if std.shape not in (mean.shape, (*mean.shape[:-1], 1)):
-        raise ValueError(
-            f"std must be {tuple(mean.shape)} or {(*mean.shape[:-1], 1)} to go with mean, "
-            f"got {tuple(std.shape)}"
-        )
+        raise ValueError(f"std must be {tuple(mean.shape)} or {(*mean.shape[:-1], 1)} to go with mean, got {tuple(std.shape)}")
     if old_std.shape != std.shape:
-        raise ValueError(
-            f"old_std must have the shape of std, {tuple(std.shape)}, got {tuple(old_std.shape)}"
-        )
+        raise ValueError(f"old_std must have the shape of std, {tuple(std.shape)}, got {tuple(old_std.shape)}")
     for name, value in (("std", std), ("old_std", old_std)):
         if not (value > 0).all():
             raise ValueError(f"{name} must be positive, its smallest entry is {value.min().item()}")

@@ -118,14 +118,10 @@ class Rollout:
         for name, storage in graph_items(self.graph):
             if name not in given or given[name].shape != storage.shape[1:]:
                 found = tuple(given[name].shape) if name in given else "nothing"
-                raise ValueError(
-                    f"observation graph: {name} must stay {tuple(storage.shape[1:])}, got {found}"
-                )
+                raise ValueError(f"observation graph: {name} must stay {tuple(storage.shape[1:])}, got {found}")
             storage[step].copy_(given[name])
 
-    def store_decision(
-        self, step: int, dist: ActionDistribution, action: torch.Tensor, log_prob: torch.Tensor
-    ) -> None:
+    def store_decision(self, step: int, dist: ActionDistribution, action: torch.Tensor, log_prob: torch.Tensor) -> None:
         """Copy what the policy did in one step: its distribution, an action (B, ...), its density."""
         self.actions[step], self.log_probs[step] = action, log_prob
         self.means[step], self.stds[step] = dist.mean, dist.std

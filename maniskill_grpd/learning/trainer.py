@@ -99,9 +99,7 @@ class Trainer:
         noise = config.position_noise, config.velocity_noise
         disturb = None
         if any(noise):
-            disturb = ObservationNoise(
-                schema=policy.schema, position_std=noise[0], velocity_std=noise[1]
-            )
+            disturb = ObservationNoise(schema=policy.schema, position_std=noise[0], velocity_std=noise[1])
         self._collector = Collector(envs, config.num_steps, disturb, self.workers, config.amp)
         self.times: dict[str, float] = {}
         self._is_resumed = False
@@ -233,9 +231,7 @@ class Trainer:
         state.iteration += 1
         return losses
 
-    def _log(
-        self, rollout: Rollout, episodes: dict[str, float], losses: dict[str, float]
-    ) -> None:
+    def _log(self, rollout: Rollout, episodes: dict[str, float], losses: dict[str, float]) -> None:
         """Write the metrics of the iteration."""
         batch_size = self.config.batch_size
         self._steps_this_session += batch_size
@@ -353,11 +349,6 @@ def _grippers(rollout: Rollout) -> torch.Tensor:
 
 
 def _progress_text(metrics: dict[str, float]) -> str:
-    shown = {
-        "return": "train/return",
-        "success": "train/success_once",
-        "distance": "train/mean_distance",
-        "SPS": "charts/SPS",
-    }
+    shown = {"return": "train/return", "success": "train/success_once", "distance": "train/mean_distance", "SPS": "charts/SPS"}
     found = {name: metrics[tag] for name, tag in shown.items() if tag in metrics}
     return ", ".join(f"{name}={value:.3g}" for name, value in found.items())

@@ -10,12 +10,7 @@ import numpy as np
 import torch
 
 from maniskill_grpd.learning.algorithm import make_algorithm
-from maniskill_grpd.learning.checkpoint import (
-    CheckpointError,
-    describe_differences,
-    load_checkpoint,
-    restore_policy,
-)
+from maniskill_grpd.learning.checkpoint import CheckpointError, describe_differences, load_checkpoint, restore_policy
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS, TrainConfig
 from maniskill_grpd.learning.update import Algorithm
 from maniskill_grpd.learning.value_scale import ValueScale
@@ -58,14 +53,9 @@ class TrainingState:
             config=config,
             policy=policy,
             # Fused: one pass over all weights instead of a dozen per tensor.
-            optimizer=torch.optim.Adam(
-                policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True
-            ),
+            optimizer=torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True),
             algorithm=make_algorithm(config),
-            generators={
-                "action": torch.Generator(device).manual_seed(seed),
-                "minibatch": torch.Generator().manual_seed(seed),
-            },
+            generators={"action": torch.Generator(device).manual_seed(seed), "minibatch": torch.Generator().manual_seed(seed)},
             workers=workers,
         )
 
@@ -84,9 +74,7 @@ class TrainingState:
             "algorithm": self.algorithm.state_dict(),
             "value_scale": self.value_scale.state_dict(),
             "generators": {
-                _generator_key(name, rank): state
-                for rank, process in enumerate(states)
-                for name, state in process.items()
+                _generator_key(name, rank): state for rank, process in enumerate(states) for name, state in process.items()
             },
             "train_config": self.config.to_dict(),
             "iteration": self.iteration,
@@ -144,9 +132,7 @@ class TrainingState:
             if line.partition(":")[0] not in RESUMABLE_FIELDS | {"exp_name"}
         ]
         if fixed:
-            raise CheckpointError(
-                f"{path} cannot be resumed with other options: {'; '.join(fixed)}"
-            )
+            raise CheckpointError(f"{path} cannot be resumed with other options: {'; '.join(fixed)}")
         size = len(contents["generators"]) // len(self.generators)
         if size != self.workers.size:
             raise CheckpointError(

@@ -48,11 +48,7 @@ def kl_parts(dist: ActionDistribution, reference: ActionDistribution) -> KLParts
     """
     mean, cov = kl_parts_unchecked(dist.mean, dist.std, reference.mean, reference.std)
     absent = ~dist.mask
-    return KLParts(
-        mean.masked_fill(absent, 0.0),
-        cov.masked_fill(absent, 0.0),
-        dist.gripper_kl_divergence(reference),
-    )
+    return KLParts(mean.masked_fill(absent, 0.0), cov.masked_fill(absent, 0.0), dist.gripper_kl_divergence(reference))
 
 
 def old_distribution(dist: ActionDistribution, batch: Batch) -> ActionDistribution:
@@ -62,19 +58,14 @@ def old_distribution(dist: ActionDistribution, batch: Batch) -> ActionDistributi
         dist: The current policy there: gives the mask.
         batch: Transitions.
     """
-    return dataclasses.replace(
-        dist, mean=batch.old_mean, std=batch.old_std, gripper_logits=batch.old_gripper_logits
-    )
+    return dataclasses.replace(dist, mean=batch.old_mean, std=batch.old_std, gripper_logits=batch.old_gripper_logits)
 
 
 def detached(dist: ActionDistribution) -> ActionDistribution:
     """Return a distribution through which no gradient flows."""
     logits = dist.gripper_logits
     return dataclasses.replace(
-        dist,
-        mean=dist.mean.detach(),
-        std=dist.std.detach(),
-        gripper_logits=None if logits is None else logits.detach(),
+        dist, mean=dist.mean.detach(), std=dist.std.detach(), gripper_logits=None if logits is None else logits.detach()
     )
 
 
@@ -99,9 +90,7 @@ def kl_metrics(name: str, parts: KLParts) -> dict[str, torch.Tensor]:
     }
 
 
-def activity_metrics(
-    dist: ActionDistribution, parts: KLParts, bounds: Bounds
-) -> dict[str, torch.Tensor]:
+def activity_metrics(dist: ActionDistribution, parts: KLParts, bounds: Bounds) -> dict[str, torch.Tensor]:
     """Return the share of (state, actuator) pairs beyond each bound."""
     count = dist.mask.sum().clamp(min=1)
     return {

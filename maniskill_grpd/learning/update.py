@@ -149,9 +149,7 @@ class FirstOrderAlgorithm(Algorithm):
         return update_policy(learner, self, rollout)
 
 
-def update_policy(
-    learner: Learner, algorithm: FirstOrderAlgorithm, rollout: Rollout
-) -> dict[str, float]:
+def update_policy(learner: Learner, algorithm: FirstOrderAlgorithm, rollout: Rollout) -> dict[str, float]:
     """Take `update_epochs` passes over a rollout; see `Algorithm.update`."""
     config, policy = learner.config, learner.policy
     rows: list[Metrics] = []
@@ -171,9 +169,7 @@ def update_policy(
     return summarize(rows, learner.workers)
 
 
-def apply_gradients(
-    learner: Learner, parameters: list[torch.Tensor], metrics: Metrics, place: str
-) -> torch.Tensor:
+def apply_gradients(learner: Learner, parameters: list[torch.Tensor], metrics: Metrics, place: str) -> torch.Tensor:
     """Average the gradients over the processes, clip their norm and take a step of the optimizer.
 
     Args:
@@ -196,9 +192,7 @@ def apply_gradients(
     return norm.detach()
 
 
-def autocast_policy(
-    forward: Any, graph: Graph, enabled: bool
-) -> tuple[ActionDistribution, torch.Tensor]:
+def autocast_policy(forward: Any, graph: Graph, enabled: bool) -> tuple[ActionDistribution, torch.Tensor]:
     """Evaluate a policy, its matrix products in bfloat16 if enabled; the results are float32.
 
     Args:
@@ -211,9 +205,7 @@ def autocast_policy(
     with torch.autocast(graph["gravity"].device.type, dtype=torch.bfloat16):
         dist, outputs = forward(graph)
     logits = dist.gripper_logits
-    dist = ActionDistribution(
-        dist.mean.float(), dist.std.float(), dist.mask, None if logits is None else logits.float()
-    )
+    dist = ActionDistribution(dist.mean.float(), dist.std.float(), dist.mask, None if logits is None else logits.float())
     return dist, outputs.float()
 
 
@@ -223,9 +215,7 @@ def summarize(rows: list[Metrics], workers: Workers) -> dict[str, float]:
     return {key: value.item() for key, value in metrics.items()}
 
 
-def _accumulate_gradients(
-    learner: Learner, algorithm: FirstOrderAlgorithm, batch: Batch, diagnose: bool
-) -> Metrics:
+def _accumulate_gradients(learner: Learner, algorithm: FirstOrderAlgorithm, batch: Batch, diagnose: bool) -> Metrics:
     """Backpropagate the loss of a minibatch, in chunks whose activations stay small."""
     rows, shares = [], []
     for chunk in learner.chunks(batch):
@@ -246,9 +236,7 @@ def mean_std(dist: ActionDistribution) -> torch.Tensor:
     return dist.std.detach()[dist.mask].mean()
 
 
-def _moments(
-    batches: list[torch.Tensor], workers: Workers
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
+def _moments(batches: list[torch.Tensor], workers: Workers) -> list[tuple[torch.Tensor, torch.Tensor]]:
     """Return mean and (unbiased) standard deviation of each batch over the processes."""
     if workers.size == 1:
         return [(values.mean(), values.std()) for values in batches]

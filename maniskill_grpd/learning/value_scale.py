@@ -59,11 +59,7 @@ class ValueScale:
 
     def state_dict(self) -> dict[str, float]:
         """Return the statistics as plain numbers."""
-        return {
-            "weight": self._weight,
-            "mean": self._mean,
-            "mean_square": self._mean_square,
-        }
+        return {"weight": self._weight, "mean": self._mean, "mean_square": self._mean_square}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
         """Restore what `state_dict` returned."""

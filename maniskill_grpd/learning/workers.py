@@ -96,9 +96,7 @@ class Workers:
             return metrics
         values = torch.stack([value.detach() for value in metrics.values()])
         means, largest = self.sum(values.clone()) / self.size, self.max(values)
-        return {
-            name: largest[i] if name.endswith("_max") else means[i] for i, name in enumerate(metrics)
-        }
+        return {name: largest[i] if name.endswith("_max") else means[i] for i, name in enumerate(metrics)}
 
     def gather(self, value: T) -> list[T]:
         """Return a value of every process, in the order of their ranks."""

@@ -224,9 +224,7 @@ def _hinges_with_mirrored(
     return np.concatenate([inner, mirrored]), faces
 
 
-def _rows(
-    points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _rows(points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return triples of nodes in the rows and columns of a square grid.
 
     Where a row ends at a node its last edge alone counts, with -1 as the third node.

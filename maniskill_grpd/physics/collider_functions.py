@@ -142,13 +142,7 @@ def triangles(p: wp.vec3, mesh: wp.uint64) -> wp.vec4:
 
 @wp.func
 def signed_distance(
-    p: wp.vec3,
-    collider: int,
-    kind: int,
-    size: wp.vec3,
-    num_vertices: int,
-    polygons: wp.array2d(dtype=wp.vec2),
-    mesh: wp.uint64,
+    p: wp.vec3, collider: int, kind: int, size: wp.vec3, num_vertices: int, polygons: wp.array2d(dtype=wp.vec2), mesh: wp.uint64
 ) -> wp.vec4:
     """Return (outward normal, signed distance) of a collider at a point in its local frame."""
     if kind == PLANE:

@@ -8,18 +8,7 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.lanes import (  # noqa: F401 (operators on lanes)
-    add,
-    any_positive,
-    choose,
-    div,
-    greater,
-    inner,
-    mul,
-    root,
-    spread,
-    sub,
-)
+from maniskill_grpd.physics.lanes import add, any_positive, choose, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Factor on the compliance of edges that have given way to compression.
 WRINKLE_SOFTENING = wp.constant(100.0)
@@ -126,9 +115,14 @@ def substitute(group: int, entry: int, num_behind: int, multiplier: Any, groups:
 
 @wp.func
 def measure_tautness(
-    group: int, first_edge: int, first_node: int, num_edges: int,
-    line_nodes: wp.array(dtype=int), rest_lengths: wp.array(dtype=float), groups: Any,
-):  # fmt: skip
+    group: int,
+    first_edge: int,
+    first_node: int,
+    num_edges: int,
+    line_nodes: wp.array(dtype=int),
+    rest_lengths: wp.array(dtype=float),
+    groups: Any,
+):
     """Return the largest tension on a line in units of the one from which on it is unstable across the line.
 
     A tension T_k = -lambda_k / dt^2 moves nodes across by w T dt^2 / l times the second difference of their positions before the
@@ -148,9 +142,15 @@ def measure_tautness(
 
 @wp.func
 def straighten_line(
-    group: int, first_edge: int, first_node: int, num_edges: int, tautness: Any,
-    line_nodes: wp.array(dtype=int), rest_lengths: wp.array(dtype=float), groups: Any,
-):  # fmt: skip
+    group: int,
+    first_edge: int,
+    first_node: int,
+    num_edges: int,
+    tautness: Any,
+    line_nodes: wp.array(dtype=int),
+    rest_lengths: wp.array(dtype=float),
+    groups: Any,
+):
     """Predict where its tension takes a taut line (tautness > 1), so that directions are those at the end of the substep.
 
     Implicit in the directions, as with the geometric stiffness of Tournier et al. (2015), a substep leaves 1 / (1 + k) of a

@@ -61,9 +61,16 @@ def add_reactions(group: int, thread: int, threads: int, num_nodes: int, groups:
 
 @wp.func
 def search_world(
-    world: int, thread: int, threads: int, search_interval: int, dt: float, variant: int,
-    objects: Objects, touch: Touch, contacts: SelfContacts,
-):  # fmt: skip
+    world: int,
+    thread: int,
+    threads: int,
+    search_interval: int,
+    dt: float,
+    variant: int,
+    objects: Objects,
+    touch: Touch,
+    contacts: SelfContacts,
+):
     """Find what may touch until the next search, and tell every node of its contacts."""
     num_nodes = objects.node_counts[variant]
     first_element = objects.element_starts[variant]
@@ -78,22 +85,44 @@ def search_world(
     num_blocks = (num_elements + BLOCK - 1) // BLOCK
     for block in range(thread, num_blocks, threads):
         bound_block(
-            world, block, first_element, num_elements, objects.elements, touch.velocities,
-            contacts.element_spheres, contacts.block_spheres, contacts.block_motions,
-        )  # fmt: skip
+            world,
+            block,
+            first_element,
+            num_elements,
+            objects.elements,
+            touch.velocities,
+            contacts.element_spheres,
+            contacts.block_spheres,
+            contacts.block_motions,
+        )
     synchronize_block()
     for cluster in range(thread, (num_blocks + BLOCK - 1) // BLOCK, threads):
         contacts.cluster_spheres[world, cluster] = bound_spheres(world, cluster, num_blocks, contacts.block_spheres)
     synchronize_block()
     for owner in range(thread, objects.owner_counts[variant], threads):
         dropped = find_candidates(
-            world, owner, first_element,
-            num_elements, objects.is_rope[variant], objects.radii[variant], objects.exclusions[variant],
-            2.0 * float(search_interval) * dt, variant, objects.elements, contacts.element_spheres,
-            objects.geodesics, touch.positions, touch.velocities,
-            contacts.nodes, contacts.sides, contacts.gaps, contacts.counts,
-            contacts.block_spheres, contacts.block_motions, contacts.cluster_spheres,
-        )  # fmt: skip
+            world,
+            owner,
+            first_element,
+            num_elements,
+            objects.is_rope[variant],
+            objects.radii[variant],
+            objects.exclusions[variant],
+            2.0 * float(search_interval) * dt,
+            variant,
+            objects.elements,
+            contacts.element_spheres,
+            objects.geodesics,
+            touch.positions,
+            touch.velocities,
+            contacts.nodes,
+            contacts.sides,
+            contacts.gaps,
+            contacts.counts,
+            contacts.block_spheres,
+            contacts.block_motions,
+            contacts.cluster_spheres,
+        )
         dropped += register_contacts(world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node)
         if dropped > 0:
             wp.atomic_add(contacts.dropped, world, dropped)
@@ -105,9 +134,18 @@ def search_world(
 
 @wp.func
 def find_self_contacts(
-    group: int, thread: int, threads: int, search_interval: int, dt: float, variant: int,
-    objects: Objects, worlds: Worlds, groups: Any, touch: Touch, contacts: SelfContacts,
-):  # fmt: skip
+    group: int,
+    thread: int,
+    threads: int,
+    search_interval: int,
+    dt: float,
+    variant: int,
+    objects: Objects,
+    worlds: Worlds,
+    groups: Any,
+    touch: Touch,
+    contacts: SelfContacts,
+):
     """Let all worlds of a group search for contacts."""
     num_nodes = objects.node_counts[variant]
     for lane in range(groups.counts[group]):
@@ -122,9 +160,8 @@ def find_self_contacts(
 
 @wp.func
 def project_self_contacts(
-    world: int, thread: int, threads: int, variant: int, friction: float,
-    objects: Objects, touch: Touch, contacts: SelfContacts,
-):  # fmt: skip
+    world: int, thread: int, threads: int, variant: int, friction: float, objects: Objects, touch: Touch, contacts: SelfContacts
+):
     """Keep the layers of one object apart: impulses from the same positions, then every node gathers those of its contacts."""
     thickness = 2.0 * objects.radii[variant]
     for node in range(thread, objects.node_counts[variant], threads):
@@ -133,17 +170,33 @@ def project_self_contacts(
     for owner in range(thread, objects.owner_counts[variant], threads):
         for index in range(contacts.counts[world, owner]):
             compute_contact_impulse(
-                world, owner * SLOTS + index, objects.is_rope[variant], thickness, friction,
-                contacts.nodes, contacts.sides, touch.weights, touch.positions, touch.previous,
-                contacts.weights, contacts.impulses, contacts.num_active,
-            )  # fmt: skip
+                world,
+                owner * SLOTS + index,
+                objects.is_rope[variant],
+                thickness,
+                friction,
+                contacts.nodes,
+                contacts.sides,
+                touch.weights,
+                touch.positions,
+                touch.previous,
+                contacts.weights,
+                contacts.impulses,
+                contacts.num_active,
+            )
     synchronize_block()
     for node in range(thread, objects.node_counts[variant], threads):
         if contacts.num_active[world, node] > 0:
             impulse = gather_contact_impulses(
-                world, node, contacts.of_node, contacts.num_of_node, contacts.nodes, contacts.weights,
-                contacts.impulses, contacts.num_active,
-            )  # fmt: skip
+                world,
+                node,
+                contacts.of_node,
+                contacts.num_of_node,
+                contacts.nodes,
+                contacts.weights,
+                contacts.impulses,
+                contacts.num_active,
+            )
             weight = touch.weights[world, node]
             if weight > 0.0:
                 touch.positions[world, node] = touch.positions[world, node] + impulse * weight

@@ -6,13 +6,7 @@ is far away as a whole. Every owner writes into its own slots only.
 
 import warp as wp
 
-from maniskill_grpd.physics.self_contact_functions import (
-    MAX_CONTACTS_PER_NODE,
-    SLOTS,
-    barycentric_gap,
-    closest_weights,
-    facing,
-)
+from maniskill_grpd.physics.self_contact_functions import MAX_CONTACTS_PER_NODE, SLOTS, barycentric_gap, closest_weights, facing
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
@@ -105,10 +99,18 @@ def farthest_slot(world: int, first_slot: int, contact_gaps: wp.array2d(dtype=fl
 
 @wp.func
 def keep_nearest(
-    world: int, first_slot: int, num_found: int, nodes: wp.vec4i, is_rope: bool, reach: float, thickness: float,
+    world: int,
+    first_slot: int,
+    num_found: int,
+    nodes: wp.vec4i,
+    is_rope: bool,
+    reach: float,
+    thickness: float,
     positions: wp.array2d(dtype=wp.vec3),
-    contact_nodes: wp.array2d(dtype=wp.vec4i), contact_sides: wp.array2d(dtype=float), contact_gaps: wp.array2d(dtype=float),
-) -> int:  # fmt: skip
+    contact_nodes: wp.array2d(dtype=wp.vec4i),
+    contact_sides: wp.array2d(dtype=float),
+    contact_gaps: wp.array2d(dtype=float),
+) -> int:
     """Write a candidate within reach into a free slot or that of the farthest, if that one is farther.
 
     Returns:
@@ -209,9 +211,18 @@ def find_candidates(
                         if is_rope:
                             nodes = wp.vec4i(owner, owner + 1, corners[0], corners[1])
                         kept = keep_nearest(
-                            world, owner * SLOTS, num_found, nodes, is_rope, reach + approach, thickness, positions,
-                            contact_nodes, contact_sides, contact_gaps,
-                        )  # fmt: skip
+                            world,
+                            owner * SLOTS,
+                            num_found,
+                            nodes,
+                            is_rope,
+                            reach + approach,
+                            thickness,
+                            positions,
+                            contact_nodes,
+                            contact_sides,
+                            contact_gaps,
+                        )
                         num_found += wp.max(kept, 0)
                         num_lost -= wp.min(kept, 0)
                         if num_found == SLOTS:

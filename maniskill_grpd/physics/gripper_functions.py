@@ -58,9 +58,14 @@ def obstacle_distance(world: int, k: int, point: wp.vec3, obstacles: Obstacles) 
     rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
     local = wp.quat_rotate_inv(rotation, point - obstacles.positions[world, k])
     at = signed_distance(
-        local, k, obstacles.kinds[k], obstacles.sizes[world, k],
-        obstacles.polygon_sizes[k], obstacles.polygons, obstacles.meshes[k],
-    )  # fmt: skip
+        local,
+        k,
+        obstacles.kinds[k],
+        obstacles.sizes[world, k],
+        obstacles.polygon_sizes[k],
+        obstacles.polygons,
+        obstacles.meshes[k],
+    )
     normal = wp.quat_rotate(rotation, wp.vec3(at[0], at[1], at[2]))
     return wp.vec4(normal[0], normal[1], normal[2], at[3])
 

@@ -8,18 +8,7 @@ from maniskill_grpd.physics.block import synchronize_block
 from maniskill_grpd.physics.collider_functions import resolve_contact
 from maniskill_grpd.physics.gripper_functions import is_valid
 from maniskill_grpd.physics.kernel_data import Worlds
-from maniskill_grpd.physics.lanes import (  # noqa: F401 (operators on lanes)
-    add,
-    any_positive,
-    choose,
-    div,
-    inner,
-    mul,
-    pick,
-    put,
-    spread,
-    sub,
-)
+from maniskill_grpd.physics.lanes import add, any_positive, choose, div, inner, mul, pick, put, spread, sub  # noqa: F401 (operators on lanes)
 
 # Length of the tether of a gripper that holds nothing [m].
 NO_TETHER = wp.constant(1.0e9)

@@ -59,9 +59,17 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
 
     @wp.func
     def load_group(
-        group: int, thread: int, threads: int, dt: float, variant: int,
-        objects: Objects, obstacles: Obstacles, worlds: Worlds, groups: group_type, touch: Touch,
-    ):  # fmt: skip
+        group: int,
+        thread: int,
+        threads: int,
+        dt: float,
+        variant: int,
+        objects: Objects,
+        obstacles: Obstacles,
+        worlds: Worlds,
+        groups: group_type,
+        touch: Touch,
+    ):
         """Limit the targets of the grippers and fetch the state of all worlds of a group."""
         for lane in range(thread, groups.counts[group], threads):
             world = groups.members[group, lane]
@@ -69,9 +77,16 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                 limit_gripper_targets(world, worlds.leashes, worlds.gripper_targets)
                 if wp.static(features.colliders):
                     stop_grippers(
-                        world, objects.radii[variant], obstacles, worlds.leashes, worlds.gripper_nodes, worlds.holder,
-                        worlds.hold_offsets, worlds.gripper_positions, worlds.gripper_targets,
-                    )  # fmt: skip
+                        world,
+                        objects.radii[variant],
+                        obstacles,
+                        worlds.leashes,
+                        worlds.gripper_nodes,
+                        worlds.holder,
+                        worlds.hold_offsets,
+                        worlds.gripper_positions,
+                        worlds.gripper_targets,
+                    )
         if thread == 0:
             load_constants(group, dt, worlds, groups)
         synchronize_block()
@@ -85,14 +100,29 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
 
     @wp.func
     def project_line(
-        group: int, first_edge: int, first_node: int, scratch: int, num_edges: int, variant: int,
-        objects: Objects, groups: group_type,
-    ):  # fmt: skip
+        group: int,
+        first_edge: int,
+        first_node: int,
+        scratch: int,
+        num_edges: int,
+        variant: int,
+        objects: Objects,
+        groups: group_type,
+    ):
         """Project the stretch of all edges of a line at once, in the directions to which a taut rope is pulled."""
         eliminate_stretch_line(
-            group, first_edge, first_node, scratch, num_edges, objects.wrinkling[variant], False,
-            objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
-        )  # fmt: skip
+            group,
+            first_edge,
+            first_node,
+            scratch,
+            num_edges,
+            objects.wrinkling[variant],
+            False,
+            objects.line_nodes,
+            objects.rest_lengths,
+            objects.stretch_compliances,
+            groups,
+        )
         if wp.static(features.ropes):  # noqa: SIM102 (left out at compile time)
             if objects.is_rope[variant]:
                 tautness = measure_tautness(
@@ -103,9 +133,18 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                         group, first_edge, first_node, num_edges, tautness, objects.line_nodes, objects.rest_lengths, groups
                     )
                     eliminate_stretch_line(
-                        group, first_edge, first_node, scratch, num_edges, objects.wrinkling[variant], True,
-                        objects.line_nodes, objects.rest_lengths, objects.stretch_compliances, groups,
-                    )  # fmt: skip
+                        group,
+                        first_edge,
+                        first_node,
+                        scratch,
+                        num_edges,
+                        objects.wrinkling[variant],
+                        True,
+                        objects.line_nodes,
+                        objects.rest_lengths,
+                        objects.stretch_compliances,
+                        groups,
+                    )
         push_stretch_line(group, first_node, scratch, num_edges, objects.line_nodes, groups)
 
     @wp.func
@@ -142,9 +181,17 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
 
     @wp.func
     def project_contacts(
-        group: int, thread: int, threads: int, variant: int,
-        objects: Objects, obstacles: Obstacles, worlds: Worlds, groups: group_type, touch: Touch, contacts: SelfContacts,
-    ):  # fmt: skip
+        group: int,
+        thread: int,
+        threads: int,
+        variant: int,
+        objects: Objects,
+        obstacles: Obstacles,
+        worlds: Worlds,
+        groups: group_type,
+        touch: Touch,
+        contacts: SelfContacts,
+    ):
         """Take the worlds out of their lanes to resolve contact with themselves and with colliders."""
         take_out_of_lanes(group, thread, threads, objects.node_counts[variant], groups, touch)
         for lane in range(groups.counts[group]):
@@ -159,9 +206,16 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
 
     @wp.func
     def store_group(
-        group: int, thread: int, threads: int, num_nodes: int, num_substeps: int, dt: float,
-        worlds: Worlds, groups: group_type, touch: Touch,
-    ):  # fmt: skip
+        group: int,
+        thread: int,
+        threads: int,
+        num_nodes: int,
+        num_substeps: int,
+        dt: float,
+        worlds: Worlds,
+        groups: group_type,
+        touch: Touch,
+    ):
         """Write the state of all worlds of a group and the forces on their grippers."""
         if wp.static(features.self_contact):
             add_reactions(group, thread, threads, num_nodes, groups, touch)

@@ -40,13 +40,7 @@ class RopeMaterial:
                 raise ValueError(f"RopeMaterial.{entry.name} must be finite and {bound}, got {value}")
 
 
-def rope(
-    curve: np.ndarray,
-    *,
-    num_nodes: int = 41,
-    radius: float = 0.01,
-    material: RopeMaterial | None = None,
-) -> Model:
+def rope(curve: np.ndarray, *, num_nodes: int = 41, radius: float = 0.01, material: RopeMaterial | None = None) -> Model:
     """Build a rope along a curve.
 
     The curve gives the rope's rest positions and length; its natural shape is straight, so that a curved rope wants to unbend.

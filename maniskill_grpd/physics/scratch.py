@@ -54,16 +54,33 @@ class WorldGroups:
 
     def _allocate_columns(self, nodes: int, edges: int, grippers: int, tethered: int) -> None:
         columns = {
-            "gravity": 1, "table_normals": 1, "positions": nodes, "previous": nodes, "velocities": nodes, "reactions": nodes,
-            "hold_starts": nodes, "hold_motions": nodes, "hold_offsets": nodes, "pulls": grippers, "tether_ends": grippers,
-            "directions": edges, "straightened": nodes,
-        }  # fmt: skip
+            "gravity": 1,
+            "table_normals": 1,
+            "positions": nodes,
+            "previous": nodes,
+            "velocities": nodes,
+            "reactions": nodes,
+            "hold_starts": nodes,
+            "hold_motions": nodes,
+            "hold_offsets": nodes,
+            "pulls": grippers,
+            "tether_ends": grippers,
+            "directions": edges,
+            "straightened": nodes,
+        }
         for name, width in columns.items():
             setattr(self.data, name, self._vectors(self.count, width))
         columns = {
-            "table_offsets": 1, "friction": 1, "decays": 1, "stretch_rates": 1, "bend_rates": 1, "weights": nodes, "held": nodes,
-            "upper": edges, "multipliers": edges,
-        }  # fmt: skip
+            "table_offsets": 1,
+            "friction": 1,
+            "decays": 1,
+            "stretch_rates": 1,
+            "bend_rates": 1,
+            "weights": nodes,
+            "held": nodes,
+            "upper": edges,
+            "multipliers": edges,
+        }
         for name, width in columns.items():
             setattr(self.data, name, self._numbers(self.count, width))
         for name, width in (("is_free", nodes), ("is_held", nodes), ("has_tethers", grippers)):
@@ -96,13 +113,20 @@ def allocate_self_contacts(num_worlds: int, num_nodes: int, used: bool, device: 
     slots, elements = nodes * SLOTS, 2 * nodes  # a cloth has less than two triangles for each node
     blocks = elements // BLOCK + 1
     shapes = {
-        "nodes": ((slots,), wp.vec4i), "sides": ((slots,), wp.float32), "gaps": ((slots,), wp.float32),
-        "weights": ((slots,), wp.vec4), "impulses": ((slots,), wp.vec3), "counts": ((nodes,), wp.int32),
-        "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32), "num_of_node": ((nodes,), wp.int32),
-        "num_active": ((nodes,), wp.int32), "element_spheres": ((elements,), wp.vec4),
-        "block_spheres": ((blocks,), wp.vec4), "block_motions": ((blocks,), wp.vec4),
+        "nodes": ((slots,), wp.vec4i),
+        "sides": ((slots,), wp.float32),
+        "gaps": ((slots,), wp.float32),
+        "weights": ((slots,), wp.vec4),
+        "impulses": ((slots,), wp.vec3),
+        "counts": ((nodes,), wp.int32),
+        "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32),
+        "num_of_node": ((nodes,), wp.int32),
+        "num_active": ((nodes,), wp.int32),
+        "element_spheres": ((elements,), wp.vec4),
+        "block_spheres": ((blocks,), wp.vec4),
+        "block_motions": ((blocks,), wp.vec4),
         "cluster_spheres": ((blocks // BLOCK + 1,), wp.vec4),
-    }  # fmt: skip
+    }
     contacts = SelfContacts()
     for name, (shape, dtype) in shapes.items():
         setattr(contacts, name, wp.zeros((num_worlds, *shape), dtype=dtype, device=str(device)))

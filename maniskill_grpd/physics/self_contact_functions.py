@@ -13,6 +13,7 @@ import warp as wp
 SLOTS = wp.constant(16)
 MAX_CONTACTS_PER_NODE = wp.constant(192)
 
+
 @wp.func
 def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
     """Return barycentric coordinates of the point of a triangle closest to p (Ericson 2005, section 5.1.5)."""

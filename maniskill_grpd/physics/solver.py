@@ -279,9 +279,7 @@ class Solver(WorldState):
         self.closed.copy_(closed)
         self._renew_leashes((opens | closes).any(dim=1))
 
-    def _hold(
-        self, world_idx: torch.Tensor, patches: torch.Tensor, grippers: torch.Tensor, holder: torch.Tensor
-    ) -> None:
+    def _hold(self, world_idx: torch.Tensor, patches: torch.Tensor, grippers: torch.Tensor, holder: torch.Tensor) -> None:
         """Let grippers at (b, A, 3) hold the nodes of their patches (b, A, N) that are free in `holder` (b, N)."""
         positions = self.positions[world_idx]
         offsets = torch.where((holder >= 0)[..., None], self.hold_offsets[world_idx], 0.0)

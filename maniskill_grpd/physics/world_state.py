@@ -16,11 +16,25 @@ from maniskill_grpd.physics.upload import geodesic_table
 STANDARD_GRAVITY = 9.81
 # How the kernel reads the tensors of the state.
 WORLD_TYPES = {
-    "variants": wp.int32, "gravity": wp.vec3, "plane": wp.vec4, "friction": wp.float32, "damping": wp.float32,
-    "stretch_scale": wp.float32, "bend_scale": wp.float32, "inverse_masses": wp.float32, "holder": wp.int32,
-    "hold_offsets": wp.vec3, "gripper_nodes": wp.int32, "leashes": wp.float32, "gripper_targets": wp.vec3,
-    "gripper_positions": wp.vec3, "gripper_forces": wp.vec3, "positions": wp.vec3, "velocities": wp.vec3, "frozen": wp.bool,
-}  # fmt: skip
+    "variants": wp.int32,
+    "gravity": wp.vec3,
+    "plane": wp.vec4,
+    "friction": wp.float32,
+    "damping": wp.float32,
+    "stretch_scale": wp.float32,
+    "bend_scale": wp.float32,
+    "inverse_masses": wp.float32,
+    "holder": wp.int32,
+    "hold_offsets": wp.vec3,
+    "gripper_nodes": wp.int32,
+    "leashes": wp.float32,
+    "gripper_targets": wp.vec3,
+    "gripper_positions": wp.vec3,
+    "gripper_forces": wp.vec3,
+    "positions": wp.vec3,
+    "velocities": wp.vec3,
+    "frozen": wp.bool,
+}
 
 
 class WorldState:
@@ -44,8 +58,7 @@ class WorldState:
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that the next step depends on, each as a copy (B, D) in float32."""
         return {
-            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True)
-            for name, tensor in self._state_tensors.items()
+            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True) for name, tensor in self._state_tensors.items()
         }
 
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
@@ -69,9 +82,24 @@ class WorldState:
     @property
     def _state_tensors(self) -> dict[str, torch.Tensor]:
         names = [
-            "positions", "velocities", "inverse_masses", "gravity", "plane", "friction", "damping", "stretch_scale", "bend_scale",
-            "gripper_positions", "gripper_targets", "gripper_nodes", "closed", "holder", "hold_offsets", "leashes", "frozen",
-        ]  # fmt: skip
+            "positions",
+            "velocities",
+            "inverse_masses",
+            "gravity",
+            "plane",
+            "friction",
+            "damping",
+            "stretch_scale",
+            "bend_scale",
+            "gripper_positions",
+            "gripper_targets",
+            "gripper_nodes",
+            "closed",
+            "holder",
+            "hold_offsets",
+            "leashes",
+            "frozen",
+        ]
         if len(self.models) > 1:
             names.append("variants")
         if self.colliders:

@@ -14,9 +14,7 @@ from maniskill_grpd.policies.options import parse_options
 from maniskill_grpd.policies.policy import Policy
 from maniskill_grpd.policies.transformer import TransformerPolicy
 
-POLICIES: dict[str, type[Policy]] = {
-    cls.name: cls for cls in (GRPD, EMPN, HeteroGNN, TransformerPolicy)
-}
+POLICIES: dict[str, type[Policy]] = {cls.name: cls for cls in (GRPD, EMPN, HeteroGNN, TransformerPolicy)}
 """Policy classes by name."""
 
 

@@ -42,9 +42,7 @@ class ActionDistribution:
             action = torch.cat([action, closed[..., None]], dim=-1)
         return action.masked_fill(~self.mask[..., None], 0.0).flatten(1)
 
-    def sample(
-        self, generator: torch.Generator | None = None, noise: torch.Tensor | None = None
-    ) -> torch.Tensor:
+    def sample(self, generator: torch.Generator | None = None, noise: torch.Tensor | None = None) -> torch.Tensor:
         """Draw one action per graph, (B, A * E), without gradient.
 
         Args:
@@ -53,12 +51,7 @@ class ActionDistribution:
         """
         with torch.no_grad():
             if noise is None:
-                noise = torch.randn(
-                    self.mean.shape,
-                    generator=generator,
-                    device=self.mean.device,
-                    dtype=self.mean.dtype,
-                )
+                noise = torch.randn(self.mean.shape, generator=generator, device=self.mean.device, dtype=self.mean.dtype)
             action = self.mean + self.std * noise
             if self.gripper_logits is not None:
                 probability = torch.sigmoid(self.gripper_logits)
@@ -152,8 +145,6 @@ def bernoulli_kl(logits: torch.Tensor, old_logits: torch.Tensor) -> torch.Tensor
     # Close to each other, the difference of two softplus would lose the quadratic remainder.
     near = change.clamp(-1.0, 1.0)
     log_ratio = torch.where(
-        change.abs() < 1.0,
-        torch.log1p(torch.sigmoid(old_logits) * torch.expm1(near)),
-        softplus(logits) - softplus(old_logits),
+        change.abs() < 1.0, torch.log1p(torch.sigmoid(old_logits) * torch.expm1(near)), softplus(logits) - softplus(old_logits)
     )
     return (torch.sigmoid(logits) * change - log_ratio).clamp(min=0.0)

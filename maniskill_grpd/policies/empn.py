@@ -10,12 +10,7 @@ import torch
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
-from maniskill_grpd.policies.encoded_policy import (
-    EncodedPolicy,
-    Features,
-    HeadOptions,
-    equivariant_mean,
-)
+from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, equivariant_mean
 from maniskill_grpd.policies.layers import (
     CompleteEdges,
     EdgeGeometry,
@@ -111,15 +106,8 @@ class EMPNEncoder(nn.Module):
         self.embed = NodeEmbedding(self.merge.num_vectors, self.merge.num_scalars, *dims)
         # Edges range from the spacing of the mesh to the distance between actuators: distances are
         # resolved at the scale of the object, directions at that of the mesh.
-        self.geometry = EdgeGeometry(
-            options.num_radial,
-            options.max_degree,
-            0.5 * schema.length_scale,
-            0.5 * schema.edge_length,
-        )
-        self.rounds = nn.ModuleList(
-            _HomogeneousRound(dims, options) for _ in range(options.num_layers)
-        )
+        self.geometry = EdgeGeometry(options.num_radial, options.max_degree, 0.5 * schema.length_scale, 0.5 * schema.edge_length)
+        self.rounds = nn.ModuleList(_HomogeneousRound(dims, options) for _ in range(options.num_layers))
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
         """Encode a graph.
@@ -137,28 +125,15 @@ class EMPNEncoder(nn.Module):
         for message_round in self.rounds:
             features = message_round(features, edges)
         scalars, vectors = features
-        return (
-            (scalars[:, :count], vectors[:, :, :count]),
-            (scalars[:, count:], vectors[:, :, count:]),
-        )
+        return ((scalars[:, :count], vectors[:, :, :count]), (scalars[:, count:], vectors[:, :, count:]))
 
-    def _connect(
-        self, nodes: Mapping[str, torch.Tensor], neighbors: torch.Tensor
-    ) -> tuple[Edges, Edges]:
+    def _connect(self, nodes: Mapping[str, torch.Tensor], neighbors: torch.Tensor) -> tuple[Edges, Edges]:
         """Edges to objects and to actuators; lists of different length, otherwise alike."""
-        local = LocalNeighborhood.find(
-            nodes["position"], nodes["mask"], neighbors, self.num_nearest
-        )
+        local = LocalNeighborhood.find(nodes["position"], nodes["mask"], neighbors, self.num_nearest)
         points = nodes["position"].movedim(-1, 0).contiguous()
         count = neighbors.shape[1]
         return tuple(
-            self.geometry.neighbors(
-                points,
-                nodes["mask"],
-                senders,
-                receivers=receivers.contiguous(),
-                envelope=envelope,
-            )
+            self.geometry.neighbors(points, nodes["mask"], senders, receivers=receivers.contiguous(), envelope=envelope)
             for senders, envelope, receivers in (
                 (local.objects, local.object_envelope, points[:, :, :count]),
                 (local.actuators, local.actuator_envelope, points[:, :, count:]),
@@ -171,12 +146,8 @@ class _HomogeneousRound(nn.Module):
 
     def __init__(self, dims: tuple[int, int], options: EMPNOptions) -> None:
         super().__init__()
-        self.conv = SteerableConv(
-            *dims, num_radial=options.num_radial, max_degree=options.max_degree
-        )
-        self.update = EquivariantUpdate(
-            *dims, message_dim=dims[0], normalize_vectors=options.normalize_vectors
-        )
+        self.conv = SteerableConv(*dims, num_radial=options.num_radial, max_degree=options.max_degree)
+        self.update = EquivariantUpdate(*dims, message_dim=dims[0], normalize_vectors=options.normalize_vectors)
 
     def forward(self, features: Features, edges: tuple[Edges, Edges]) -> Features:
         scalars, vectors = zip(*(self.conv(*features, part) for part in edges), strict=True)

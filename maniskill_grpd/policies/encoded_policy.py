@@ -89,9 +89,7 @@ class EncodedPolicy(Policy):
 
         self.encoder = self.make_encoder(schema, options)
         self.mean = head(lambda: self.make_mean(options))
-        self.std = head(
-            lambda: IsotropicStd(*dims[1], options.init_std, options.state_dependent_std)
-        )
+        self.std = head(lambda: IsotropicStd(*dims[1], options.init_std, options.state_dependent_std))
         self.value_encoder: nn.Module | None = None
         if options.value_encoder == "separate":
             self.value_encoder = self.make_encoder(schema, options)

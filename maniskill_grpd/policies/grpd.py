@@ -9,18 +9,8 @@ from typing import Any, Literal
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
-from maniskill_grpd.policies.encoded_policy import (
-    EncodedPolicy,
-    Features,
-    HeadOptions,
-    equivariant_mean,
-)
-from maniskill_grpd.policies.layers import (
-    EdgeGeometry,
-    EquivariantUpdate,
-    NodeEmbedding,
-    SteerableConv,
-)
+from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, equivariant_mean
+from maniskill_grpd.policies.layers import EdgeGeometry, EquivariantUpdate, NodeEmbedding, SteerableConv
 from maniskill_grpd.policies.options import late_option
 
 
@@ -111,12 +101,8 @@ class GRPDEncoder(nn.Module):
     def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
         super().__init__()
         dims, tool_dims = options.object_dims, options.actuator_dims
-        self.embed_object = NodeEmbedding(
-            schema.object.num_vectors, schema.object.num_scalars, *dims
-        )
-        self.embed_actuator = NodeEmbedding(
-            schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims
-        )
+        self.embed_object = NodeEmbedding(schema.object.num_vectors, schema.object.num_scalars, *dims)
+        self.embed_actuator = NodeEmbedding(schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims)
         edge, size = schema.edge_length, schema.length_scale
         local = options.num_local_radial, options.max_local_degree
         between = options.num_actuator_radial, 1
@@ -125,9 +111,7 @@ class GRPDEncoder(nn.Module):
         self.actuator_geometry = EdgeGeometry(*between, size, 0.05 * size)
         self.global_geometry = EdgeGeometry(*across, size, 0.05 * size)
         normalize = options.normalize_vectors
-        self.object_rounds = nn.ModuleList(
-            _MessageRound(dims, dims, *local, normalize) for _ in range(options.num_layers)
-        )
+        self.object_rounds = nn.ModuleList(_MessageRound(dims, dims, *local, normalize) for _ in range(options.num_layers))
         self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, normalize)
         self.global_round = _MessageRound(dims, tool_dims, *across, normalize)
 
@@ -176,9 +160,7 @@ class _MessageRound(nn.Module):
             out_scalar_dim=receiver_dims[0],
             out_vector_dim=receiver_dims[1],
         )
-        self.update = EquivariantUpdate(
-            *receiver_dims, message_dim=receiver_dims[0], normalize_vectors=normalize_vectors
-        )
+        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0], normalize_vectors=normalize_vectors)
 
     def forward(self, senders: Features, receivers: Features, edges: Any) -> Features:
         return self.update(*receivers, *self.conv(*senders, edges))

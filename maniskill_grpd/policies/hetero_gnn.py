@@ -10,12 +10,7 @@ import torch
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
-from maniskill_grpd.policies.encoded_policy import (
-    EncodedPolicy,
-    Features,
-    HeadOptions,
-    without_vectors,
-)
+from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, without_vectors
 from maniskill_grpd.policies.layers import MLPMessages, RawDecoder, RawEmbedding
 
 
@@ -75,20 +70,11 @@ class HeteroGNNEncoder(nn.Module):
 
     def __init__(self, schema: GraphSchema, options: HeteroGNNOptions) -> None:
         super().__init__()
-        width, tool_width, size = (
-            options.scalar_dim,
-            options.actuator_scalar_dim,
-            schema.length_scale,
-        )
-        self.embed_object = RawEmbedding(
-            schema.object.num_vectors, schema.object.num_scalars, width, size
-        )
-        self.embed_actuator = RawEmbedding(
-            schema.actuator.num_vectors, schema.actuator.num_scalars, tool_width, size
-        )
+        width, tool_width, size = (options.scalar_dim, options.actuator_scalar_dim, schema.length_scale)
+        self.embed_object = RawEmbedding(schema.object.num_vectors, schema.object.num_scalars, width, size)
+        self.embed_actuator = RawEmbedding(schema.actuator.num_vectors, schema.actuator.num_scalars, tool_width, size)
         self.object_messages = nn.ModuleList(
-            MLPMessages(width, width, width, width, schema.edge_length)
-            for _ in range(options.num_layers)
+            MLPMessages(width, width, width, width, schema.edge_length) for _ in range(options.num_layers)
         )
         self.object_updates = nn.ModuleList(_Update(width) for _ in range(options.num_layers))
         self.actuator_messages = MLPMessages(tool_width, tool_width, tool_width, tool_width, size)
@@ -112,9 +98,7 @@ class HeteroGNNEncoder(nn.Module):
             sent = messages.neighbors(objects, points, nodes["mask"], nodes["neighbors"])
             objects = update(objects, sent)
         actuators = self.embed_actuator(tools, grippers["vectors"], grippers["scalars"], gravity)
-        sent = self.actuator_messages.complete(
-            actuators, actuators, tools, tools, grippers["mask"], exclude_self=True
-        )
+        sent = self.actuator_messages.complete(actuators, actuators, tools, tools, grippers["mask"], exclude_self=True)
         actuators = self.actuator_update(actuators, sent)
         sent = self.global_messages.complete(objects, actuators, points, tools, nodes["mask"])
         return without_vectors(objects), without_vectors(self.global_update(actuators, sent))

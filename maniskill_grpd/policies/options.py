@@ -27,9 +27,7 @@ def late_option(default: Any) -> Any:
 def options_to_config(options: Any) -> dict[str, Any]:
     """Return an options dataclass as plain types, late options only where they differ."""
     untouched = {
-        entry.name
-        for entry in fields(options)
-        if entry.metadata.get(_LATE) and getattr(options, entry.name) == entry.default
+        entry.name for entry in fields(options) if entry.metadata.get(_LATE) and getattr(options, entry.name) == entry.default
     }
     return {name: value for name, value in asdict(options).items() if name not in untouched}
 
@@ -54,8 +52,7 @@ def parse_options(cls: type[T], options: Mapping[str, Any]) -> T:
             raise ValueError(f"unknown option {name!r}; allowed are:\n{describe_options(cls)}")
         if not _fits(value, hints[name]):
             raise ValueError(
-                f"option {name!r} must be {_type_name(hints[name])}, got {value!r}; "
-                f"allowed are:\n{describe_options(cls)}"
+                f"option {name!r} must be {_type_name(hints[name])}, got {value!r}; allowed are:\n{describe_options(cls)}"
             )
     return cls(**options)
 
@@ -64,8 +61,7 @@ def describe_options(cls: type) -> str:
     """One line `name: type = default` per option."""
     hints = get_type_hints(cls)
     return "\n".join(
-        f"  {entry.name}: {_type_name(hints[entry.name])}"
-        + ("" if entry.default is MISSING else f" = {entry.default!r}")
+        f"  {entry.name}: {_type_name(hints[entry.name])}" + ("" if entry.default is MISSING else f" = {entry.default!r}")
         for entry in fields(cls)
     )
 

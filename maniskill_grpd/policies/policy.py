@@ -37,11 +37,7 @@ class Policy(nn.Module, abc.ABC):
         super().__init__()
         self.schema = schema
         self.normalizer = GraphNormalizer(schema)
-        self.config: dict[str, Any] = {
-            "name": self.name,
-            "schema": schema.to_dict(),
-            "options": dict(options),
-        }
+        self.config: dict[str, Any] = {"name": self.name, "schema": schema.to_dict(), "options": dict(options)}
 
     @abc.abstractmethod
     def evaluate(
@@ -72,10 +68,7 @@ class Policy(nn.Module, abc.ABC):
 
     @torch.no_grad()
     def act(
-        self,
-        graph: Mapping[str, Any],
-        deterministic: bool = False,
-        generator: torch.Generator | None = None,
+        self, graph: Mapping[str, Any], deterministic: bool = False, generator: torch.Generator | None = None
     ) -> torch.Tensor:
         """Choose actions.
 
@@ -94,8 +87,6 @@ class Policy(nn.Module, abc.ABC):
         action = distribution.mode if deterministic else distribution.sample(generator)
         return action.float()
 
-    def _evaluate_raw(
-        self, graph: Mapping[str, Any], *, actor: bool, critic: bool
-    ) -> tuple[Any, Any]:
+    def _evaluate_raw(self, graph: Mapping[str, Any], *, actor: bool, critic: bool) -> tuple[Any, Any]:
         self.schema.validate(graph)
         return self.evaluate(self.normalizer(graph), actor=actor, critic=critic)

@@ -9,12 +9,7 @@ from typing import Any
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
-from maniskill_grpd.policies.encoded_policy import (
-    EncodedPolicy,
-    Features,
-    HeadOptions,
-    without_vectors,
-)
+from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, without_vectors
 from maniskill_grpd.policies.layers import AttentionBlock, MergedNodes, RawDecoder, RawEmbedding
 
 
@@ -34,10 +29,7 @@ class TransformerOptions(HeadOptions):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.scalar_dim % self.num_heads:
-            raise ValueError(
-                f"scalar_dim must be a multiple of num_heads ({self.num_heads}), "
-                f"got {self.scalar_dim}"
-            )
+            raise ValueError(f"scalar_dim must be a multiple of num_heads ({self.num_heads}), got {self.scalar_dim}")
 
     @property
     def object_dims(self) -> tuple[int, int]:
@@ -85,12 +77,9 @@ class TransformerEncoder(nn.Module):
         super().__init__()
         dim = options.scalar_dim
         self.merge = MergedNodes(schema)
-        self.embed = RawEmbedding(
-            self.merge.num_vectors, self.merge.num_scalars, dim, schema.length_scale
-        )
+        self.embed = RawEmbedding(self.merge.num_vectors, self.merge.num_scalars, dim, schema.length_scale)
         self.blocks = nn.ModuleList(
-            AttentionBlock(dim, options.num_heads, options.hidden_dim, options.num_layers)
-            for _ in range(options.num_layers)
+            AttentionBlock(dim, options.num_heads, options.hidden_dim, options.num_layers) for _ in range(options.num_layers)
         )
         self.norm = nn.LayerNorm(dim)
 

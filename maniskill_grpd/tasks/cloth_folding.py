@@ -233,9 +233,7 @@ class ClothFoldingEnv(DeformableEnv):
         direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
         return _turn(direction[:, None], CREASES[self.num_grippers].deviation * self._pose_share * draws[:, 1])[:, 0]
 
-    def _draw_offset(
-        self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor
-    ) -> torch.Tensor:
+    def _draw_offset(self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Draw offsets of creases (b,) [m], beyond which all held nodes (b, A) lie, from numbers in [-1, 1) (b,)."""
         outlines, zero = self._outlines[variant], torch.zeros_like(draws)
         points = self._rest[variant].gather(1, held[..., None].expand(-1, -1, 2))

@@ -86,15 +86,7 @@ class ClothHangingEnv(DeformableEnv):
     DEFAULT_NUM_GRIPPERS = 4
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     HAS_TABLE = False
-    OBJECT_CHANNELS = (
-        channels.VELOCITY,
-        HANGER_OFFSET,
-        HANGER_AXIS,
-        HANGER_DISTANCE,
-        SEAT,
-        channels.CORNER,
-        channels.HELD,
-    )
+    OBJECT_CHANNELS = (channels.VELOCITY, HANGER_OFFSET, HANGER_AXIS, HANGER_DISTANCE, SEAT, channels.CORNER, channels.HELD)
     GRIPPER_CHANNELS = (
         channels.VELOCITY,
         HANGER_OFFSET,
@@ -178,9 +170,7 @@ class ClothHangingEnv(DeformableEnv):
         if self.hole_radius is not None:
             for name in self.shapes:
                 check_hole(name, CLOTH_AREA, self.hole_radius)
-        self._hanger: Hanger = (
-            BarHanger() if self.hole_radius is None else PegHanger(self.hole_radius, self.TILT_RANGE[release])
-        )
+        self._hanger: Hanger = BarHanger() if self.hole_radius is None else PegHanger(self.hole_radius, self.TILT_RANGE[release])
         super().__init__(**(_with_free_grasp(settings) if release else settings))
 
     # ------------------------------------------------------------------ episode

@@ -85,9 +85,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         ValueError: If an option has a value that is not allowed; says which are.
     """
 
-    SUPPORTED_OBS_MODES = (
-        "graph", "state", "state_dict", "none", "sensor_data", "any_textures", "pointcloud",
-    )  # fmt: skip
+    SUPPORTED_OBS_MODES = ("graph", "state", "state_dict", "none", "sensor_data", "any_textures", "pointcloud")
     GRIPPER_COUNTS: tuple[int, ...]
     """Allowed numbers of grippers."""
     DEFAULT_NUM_GRIPPERS: int
@@ -95,12 +93,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
     """Whether there is a table, at z = 0."""
     SELF_COLLISION = False
     """Whether the object collides with itself."""
-    OBJECT_CHANNELS: tuple[Channel, ...] = (
-        channels.VELOCITY,
-        channels.ARC,
-        channels.HELD,
-        channels.CONTACT,
-    )
+    OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
 
     graph_schema: GraphSchema
@@ -128,9 +121,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
         if num_envs < 1:
             raise ValueError(f"num_envs must be >= 1, got {num_envs}")
-        self.num_grippers, team = choose_team(
-            num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS
-        )
+        self.num_grippers, team = choose_team(num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS)
         self.grasp, control_mode = choose_grasp(grasp, control_mode)
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
@@ -265,11 +256,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self._allocate_episode()
         self._graph = GraphObservation(
-            self.solver,
-            self._candidate_gripper_nodes,
-            self.OBJECT_CHANNELS,
-            self.GRIPPER_CHANNELS,
-            self._num_graph_nodes,
+            self.solver, self._candidate_gripper_nodes, self.OBJECT_CHANNELS, self.GRIPPER_CHANNELS, self._num_graph_nodes
         )
         self.graph_schema = self._graph.schema
         self._painter = choose_painter(self)
@@ -280,9 +267,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
 
     # ------------------------------------------------------------------ reset
 
-    def reset(
-        self, seed: int | Sequence[int] | None = None, options: dict | None = None
-    ) -> tuple[Any, dict]:
+    def reset(self, seed: int | Sequence[int] | None = None, options: dict | None = None) -> tuple[Any, dict]:
         """Start new episodes in all worlds, or in those of `options["env_idx"]`.
 
         Args:
@@ -384,12 +369,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         velocities = torch.cat([agent.robot.qvel for agent in self._agents], dim=1).unflatten(1, (-1, 3))
         return self._graph.build(self.start_nodes, velocities, self._object_values(), self._gripper_values())
 
-    def compute_normalized_dense_reward(
-        self,
-        obs: Any,
-        action: torch.Tensor,
-        info: dict,
-    ) -> torch.Tensor:
+    def compute_normalized_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
         """Return the dense reward, which is in [0, 1] in all tasks."""
         return self.compute_dense_reward(obs=obs, action=action, info=info)
 

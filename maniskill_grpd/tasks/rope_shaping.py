@@ -67,13 +67,7 @@ class RopeShapingEnv(DeformableEnv):
         channels.HELD,
         channels.CONTACT,
     )
-    GRIPPER_CHANNELS = (
-        channels.VELOCITY,
-        channels.GOAL_OFFSET,
-        channels.GOAL_DISTANCE,
-        channels.ARC,
-        channels.GRIPPER_STATUS,
-    )
+    GRIPPER_CHANNELS = (channels.VELOCITY, channels.GOAL_OFFSET, channels.GOAL_DISTANCE, channels.ARC, channels.GRIPPER_STATUS)
 
     CENTRE_RANGE = 0.15
     """Largest coordinate of the centres of rope and goal [m]."""
@@ -179,25 +173,13 @@ class RopeShapingEnv(DeformableEnv):
         largest = max_over_nodes(self._goal_distances, self.solver.node_mask)
         fail = self.solver.frozen.clone()
         is_close = (mean <= self.MEAN_DISTANCE_LIMIT) & (largest <= self.MAX_DISTANCE_LIMIT)
-        return {
-            "success": is_close & ~fail,
-            "fail": fail,
-            "mean_distance": mean,
-            "max_distance": largest,
-        }
+        return {"success": is_close & ~fail, "fail": fail, "mean_distance": mean, "max_distance": largest}
 
-    def compute_dense_reward(
-        self,
-        obs: Any,
-        action: torch.Tensor,
-        info: dict,
-    ) -> torch.Tensor:
+    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
         """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
         far = 1.0 - torch.tanh(info["mean_distance"] / self.FAR_SCALE)
         near = torch.exp(-((info["mean_distance"] / self.NEAR_SCALE) ** 2))
-        reward = (
-            self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
-        )
+        reward = self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
         return reward * ~info["fail"]
 
     def _object_values(self) -> dict[str, torch.Tensor]:

@@ -75,13 +75,7 @@ class RopeWrappingEnv(DeformableEnv):
     GRIPPER_COUNTS = (2,)
     DEFAULT_NUM_GRIPPERS = 2
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
-    OBJECT_CHANNELS = (
-        channels.VELOCITY,
-        *POST_CHANNELS,
-        channels.ARC,
-        channels.HELD,
-        channels.CONTACT,
-    )
+    OBJECT_CHANNELS = (channels.VELOCITY, *POST_CHANNELS, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS = (
         channels.VELOCITY,
         *POST_CHANNELS,
@@ -117,11 +111,7 @@ class RopeWrappingEnv(DeformableEnv):
     """Share of the reward for success."""
 
     def __init__(
-        self,
-        *,
-        resolution: int | Sequence[int] = 41,
-        shapes: str | Sequence[str] = "cylinder",
-        **settings: Any,
+        self, *, resolution: int | Sequence[int] = 41, shapes: str | Sequence[str] = "cylinder", **settings: Any
     ) -> None:
         """Set up the task.
 
@@ -259,12 +249,7 @@ class RopeWrappingEnv(DeformableEnv):
             "share_at_height": mean_over_nodes(is_at_height, solver.node_mask),
         }
 
-    def compute_dense_reward(
-        self,
-        obs: Any,
-        action: torch.Tensor,
-        info: dict,
-    ) -> torch.Tensor:
+    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
         """Return rewards in [0, 1], (B,); 1 for a closed rope whose ends touch, 0 after a failure.
 
         Ends that come together count as far as the rope winds around the post, and winding as far as it is at the post's height.

@@ -18,8 +18,7 @@ STEP = 0.03
 def make_grippers(num_worlds=3, num_grippers=4, control_mode=None):
     """Return an agent on a stub of the scene: tensors and a clock."""
     solver = SimpleNamespace(
-        gripper_positions=torch.zeros(num_worlds, num_grippers, 3),
-        gripper_targets=torch.zeros(num_worlds, num_grippers, 3),
+        gripper_positions=torch.zeros(num_worlds, num_grippers, 3), gripper_targets=torch.zeros(num_worlds, num_grippers, 3)
     )
     scene = SimpleNamespace(
         solver=solver,
@@ -91,9 +90,7 @@ def test_controller_commutes_with_rotations(seed):
     action = 2.0 * torch.randn(1, 12, generator=torch.Generator().manual_seed(seed))
     rotation = random_rotation(seed)
     rotated = (action.unflatten(1, (-1, 3)) @ rotation.T).flatten(1)
-    torch.testing.assert_close(
-        displacements(rotated), displacements(action) @ rotation.T, atol=1e-7, rtol=0
-    )
+    torch.testing.assert_close(displacements(rotated), displacements(action) @ rotation.T, atol=1e-7, rtol=0)
 
 
 def test_a_limit_per_axis_would_not_commute_with_rotations():
@@ -135,15 +132,11 @@ def test_targets_stop_above_a_tilted_table_and_move_along_its_normal(seed):
     start += normal * (0.02 + offset + clearance - start @ normal).clamp_min(0.0)[..., None]
     agent.robot.drive_targets.copy_(start.flatten(1))
     agent.set_action(torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1)))
-    wanted = start + displacements(
-        torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1))
-    )
+    wanted = start + displacements(torch.randn(1, 12, generator=torch.Generator().manual_seed(seed + 1)))
     reached = agent.robot.drive_targets.unflatten(1, (-1, 3))
     assert (reached @ normal >= offset + clearance - 1e-6).all()
     corrected = reached - wanted
-    torch.testing.assert_close(
-        corrected, (corrected @ normal)[..., None] * normal, atol=1e-6, rtol=0
-    )
+    torch.testing.assert_close(corrected, (corrected @ normal)[..., None] * normal, atol=1e-6, rtol=0)
     is_above = wanted @ normal >= offset + clearance
     assert (corrected[is_above].abs() < 1e-6).all()
 
@@ -182,9 +175,7 @@ def test_velocity_is_displacement_over_time():
     agent.robot.start_motion()
     agent.scene.solver.gripper_positions += torch.tensor([0.01, 0.0, -0.02])
     agent.robot.finish_motion(0.05)
-    torch.testing.assert_close(
-        agent.robot.get_qvel(), torch.tensor([[0.2, 0.0, -0.4]]).repeat(2, 1)
-    )
+    torch.testing.assert_close(agent.robot.get_qvel(), torch.tensor([[0.2, 0.0, -0.4]]).repeat(2, 1))
 
 
 def test_setters_write_only_the_worlds_being_reset():

@@ -54,8 +54,15 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def toy(folder, monkeypatch):
     """A study without tests, whose second arm cannot be trained."""
-    study = Study(name="toy", title="Toy", question="?", tasks=(TASK,), arms=(WHOLE, BROKEN), metrics=("training_return",),
-                  plots=("curves",))  # fmt: skip
+    study = Study(
+        name="toy",
+        title="Toy",
+        question="?",
+        tasks=(TASK,),
+        arms=(WHOLE, BROKEN),
+        metrics=("training_return",),
+        plots=("curves",),
+    )
     monkeypatch.setitem(STUDIES, "toy", study)
     return study
 

@@ -40,12 +40,7 @@ def make_env(num_envs=3, obs_mode="graph"):
 def demonstrations():
     env = make_env()
     recorded = record_demonstrations(
-        env,
-        "RopeShaping-v1",
-        [1, 2, 3, 4],
-        num_steps=12,
-        action_noise=0.0,
-        generator=torch.Generator().manual_seed(0),
+        env, "RopeShaping-v1", [1, 2, 3, 4], num_steps=12, action_noise=0.0, generator=torch.Generator().manual_seed(0)
     )
     yield recorded, env.unwrapped.graph_schema
     env.close()
@@ -84,9 +79,7 @@ def test_noise_disturbs_what_is_executed_and_not_what_is_recorded():
     kept = {}
     for noise in (0.0, 0.5):
         generator = torch.Generator().manual_seed(0)
-        kept[noise] = record_demonstrations(
-            env, "RopeShaping-v1", [1, 2], num_steps=5, action_noise=noise, generator=generator
-        )
+        kept[noise] = record_demonstrations(env, "RopeShaping-v1", [1, 2], num_steps=5, action_noise=noise, generator=generator)
         assert kept[noise].actions.norm(dim=-1).max() <= 1.0 + 1e-6
     states = [kept[noise].graph["actuator"]["position"] for noise in kept]
     torch.testing.assert_close(states[0][:2], states[1][:2])  # the first step of both worlds
@@ -163,9 +156,7 @@ def test_losses_by_hand():
     With std 1 the negative log-likelihood is 5 / 2 + 3 / 2 log 2 pi.
     """
     dist = ActionDistribution(
-        mean=torch.tensor([[[1.0, 0.0, 0.0], [9.0, 9.0, 9.0]]]),
-        std=torch.ones(1, 2, 1),
-        mask=torch.tensor([[True, False]]),
+        mean=torch.tensor([[[1.0, 0.0, 0.0], [9.0, 9.0, 9.0]]]), std=torch.ones(1, 2, 1), mask=torch.tensor([[True, False]])
     )
     actions = torch.tensor([[[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]])
     assert bc.mean_squared_error(dist, actions).item() == pytest.approx(5.0)
@@ -208,9 +199,7 @@ def test_checkpoint_is_evaluated_and_training_goes_on_from_it(run_dir, monkeypat
     arguments = [*sizes.split(), "--total_timesteps", "20", "--learning_rate", "1e-12"]
     arguments += ["--no-capture_video", "--exp_name", "warm", "--checkpoint", checkpoint]
     assert train.main([*arguments, "--env_kwargs", *TASK]) == 0
-    start, end = (
-        load_checkpoint(path)["weights"] for path in (checkpoint, "runs/warm/final_ckpt.pt")
-    )
+    start, end = (load_checkpoint(path)["weights"] for path in (checkpoint, "runs/warm/final_ckpt.pt"))
     for key in (key for key in start if "normalizer" not in key):
         torch.testing.assert_close(start[key], end[key], rtol=0, atol=1e-6)
 

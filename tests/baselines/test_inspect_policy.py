@@ -18,9 +18,7 @@ OPTIONS = {"graph_nodes": 7, "resolution": 20, "num_grippers": 2}
 @pytest.fixture(scope="module")
 def scene():
     """Return the schema and a graph of the task, half way through a motion."""
-    env = gym.make(
-        "RopeShaping-v1", num_envs=1, sim_backend="cpu", render_backend="none", **OPTIONS
-    )
+    env = gym.make("RopeShaping-v1", num_envs=1, sim_backend="cpu", render_backend="none", **OPTIONS)
     env.reset(seed=0)
     for _ in range(5):
         obs, *_ = env.step(torch.tensor([[0.0, 0.5, 0.5, 0.5, 0.0, 0.0]]))
@@ -38,9 +36,7 @@ def fresh(name, schema):
 def test_pictures_of_a_fresh_checkpoint(name, scene, tmp_path, capsys):
     schema, graph = scene
     config = bc.BCConfig(env_kwargs=tuple(f"{k}={v}" for k, v in OPTIONS.items()))
-    demonstrations = bc.Demonstrations(
-        graph=graph, actions=torch.zeros(1, 2, 3), episode=torch.zeros(1, dtype=torch.long)
-    )
+    demonstrations = bc.Demonstrations(graph=graph, actions=torch.zeros(1, 2, 3), episode=torch.zeros(1, dtype=torch.long))
     bc._save(tmp_path / "a.pt", fresh(name, schema), config, demonstrations)
     arguments = ["--checkpoint", str(tmp_path / "a.pt"), "--steps", "0", "500"]
     assert inspect_policy.main([*arguments, "--out", str(tmp_path / "pictures")]) == 0

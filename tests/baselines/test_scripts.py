@@ -39,14 +39,7 @@ def run_dir(tmp_path_factory):
 
 def test_training_leaves_a_complete_folder(run_dir):
     names = {path.name for path in run_dir.iterdir()}
-    assert names >= {
-        "config.json",
-        "metrics.jsonl",
-        "last.pt",
-        "best_ckpt.pt",
-        "final_ckpt.pt",
-        "learning_curve.png",
-    }
+    assert names >= {"config.json", "metrics.jsonl", "last.pt", "best_ckpt.pt", "final_ckpt.pt", "learning_curve.png"}
     record = json.loads((run_dir / "config.json").read_text())
     assert record["config"]["env_id"] == "RopeShaping-v1"
     assert record["versions"]["torch"].startswith(torch.__version__.split("+")[0])
@@ -119,33 +112,16 @@ def test_curves_of_unknown_metrics_are_refused_with_what_there_is(run_dir, capsy
 
 def test_training_starts_from_given_weights(run_dir, monkeypatch):
     monkeypatch.chdir(run_dir.parents[1])
-    arguments = [
-        *TINY,
-        "--exp_name",
-        "tuned",
-        "--total_timesteps",
-        "20",
-        "--learning_rate",
-        "1e-12",
-    ]
+    arguments = [*TINY, "--exp_name", "tuned", "--total_timesteps", "20", "--learning_rate", "1e-12"]
     assert train.main([*arguments, "--checkpoint", str(run_dir / "final_ckpt.pt")]) == 0
-    start, end = (
-        load_checkpoint(d / "final_ckpt.pt")["weights"] for d in (run_dir, run_dir.parent / "tuned")
-    )
+    start, end = (load_checkpoint(d / "final_ckpt.pt")["weights"] for d in (run_dir, run_dir.parent / "tuned"))
     parameters = [key for key in start if "normalizer" not in key]
     for key in parameters:
         torch.testing.assert_close(start[key], end[key], rtol=0, atol=1e-6)
 
 
 def test_evaluation_reports_every_episode(run_dir, tmp_path, capsys):
-    arguments = [
-        "--checkpoint",
-        str(run_dir / "final_ckpt.pt"),
-        "--num_episodes",
-        "3",
-        "--num_envs",
-        "2",
-    ]
+    arguments = ["--checkpoint", str(run_dir / "final_ckpt.pt"), "--num_episodes", "3", "--num_envs", "2"]
     assert evaluate.main([*arguments, "--json", str(tmp_path / "r.json")]) == 0
     table = capsys.readouterr().out
     for name in ("success_once", "success_at_end", "return", "mean_distance", "median"):
@@ -232,11 +208,7 @@ def test_demo_summary_compares_before_and_after():
         "success_once": torch.tensor([False, False]),
         "success_at_end": torch.tensor([False, False]),
     }
-    after = {
-        **before,
-        "mean_distance": torch.tensor([0.1, 0.1]),
-        "success_once": torch.tensor([True, False]),
-    }
+    after = {**before, "mean_distance": torch.tensor([0.1, 0.1]), "success_once": torch.tensor([True, False])}
     summary = demo.summarize(before, after)
     assert summary["improvement"] == pytest.approx(4.0)
     assert summary["success_after"] == 0.5

@@ -29,9 +29,7 @@ def test_per_edge_form_is_the_same_policy(graph):
         benchmark.forward_backward(policy, double)
     gradients = [dict(policy.named_parameters()) for policy in (ours, per_edge)]
     for name, parameter in gradients[0].items():
-        torch.testing.assert_close(
-            gradients[1][name].grad, parameter.grad, rtol=1e-9, atol=1e-12, msg=name
-        )
+        torch.testing.assert_close(gradients[1][name].grad, parameter.grad, rtol=1e-9, atol=1e-12, msg=name)
 
 
 def test_a_different_kernel_is_noticed(graph):
@@ -58,10 +56,7 @@ def test_peak_memory_counts_what_is_alive_at_once():
 
 
 def test_slope_of_a_power_law():
-    rows = [
-        {"policy": "a", "mode": "forward", "actuators": 4, "nodes": n, "ms": 3.0 * n**1.5}
-        for n in (100, 200, 1000)
-    ]
+    rows = [{"policy": "a", "mode": "forward", "actuators": 4, "nodes": n, "ms": 3.0 * n**1.5} for n in (100, 200, 1000)]
     assert benchmark.slope(rows, "a", "forward") == pytest.approx(1.5)
 
 

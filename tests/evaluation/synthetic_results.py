@@ -23,14 +23,38 @@ STUDY = Study(
     plots=("bars", "curves", "profile", "lines", "heat_map"),
     factor="sigma",
     claims=(
-        Claim(text="Better", source="I", paper="+50 %", measure="gain", metric="return", at_least=0.0,
-              ours=Side("ours", "Easy-v1"), theirs=Side("theirs", "Easy-v1")),
-        Claim(text="Keeps", source="II", paper="85 %", measure="ratio", metric="return", at_least=0.85,
-              ours=Side("ours", "Easy-v1", ("sigma=0.1",)), theirs=Side("ours", "Easy-v1")),
-        Claim(text="Everywhere", source="III", paper="-", measure="gain", metric="return", at_least=0.0,
-              ours=Side("ours"), theirs=Side("theirs")),
+        Claim(
+            text="Better",
+            source="I",
+            paper="+50 %",
+            measure="gain",
+            metric="return",
+            at_least=0.0,
+            ours=Side("ours", "Easy-v1"),
+            theirs=Side("theirs", "Easy-v1"),
+        ),
+        Claim(
+            text="Keeps",
+            source="II",
+            paper="85 %",
+            measure="ratio",
+            metric="return",
+            at_least=0.85,
+            ours=Side("ours", "Easy-v1", ("sigma=0.1",)),
+            theirs=Side("ours", "Easy-v1"),
+        ),
+        Claim(
+            text="Everywhere",
+            source="III",
+            paper="-",
+            measure="gain",
+            metric="return",
+            at_least=0.0,
+            ours=Side("ours"),
+            theirs=Side("theirs"),
+        ),
     ),
-)  # fmt: skip
+)
 
 
 def run_of(task: Task, arm: Arm, seed: int = 1, budget: int = 1000) -> Run:

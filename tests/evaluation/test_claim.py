@@ -12,8 +12,9 @@ GAIN = Claim(text="", source="", paper="", measure="gain", metric="return", ours
 
 
 def find(claim, ours, theirs):
-    return judge(claim, [np.array(runs, float) for runs in ours], [np.array(runs, float) for runs in theirs],
-                 np.random.default_rng(0))  # fmt: skip
+    return judge(
+        claim, [np.array(runs, float) for runs in ours], [np.array(runs, float) for runs in theirs], np.random.default_rng(0)
+    )
 
 
 def test_gain_is_the_ratio_of_interquartile_means_less_one():

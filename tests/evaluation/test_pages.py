@@ -40,15 +40,23 @@ def test_cells_hold_mean_and_interval_or_say_why_not(results):
 
 
 def test_all_tasks_are_pooled_once_every_arm_has_run_on_them(results):
-    scores = {run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
-              for task in (EASY, HARD) for arm in (OURS, THEIRS) for seed in SEEDS}  # fmt: skip
+    scores = {
+        run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
+        for task in (EASY, HARD)
+        for arm in (OURS, THEIRS)
+        for seed in SEEDS
+    }
     rows = rows_of(score_table(StudyData(STUDY, results_of(scores)), "return"))
     assert rows[-1] == ["all tasks", "as trained", "", "", "30.0 [30.0, 30.0]", "30.0 [30.0, 30.0]"]
 
 
 def test_a_task_with_more_seeds_weighs_no_more_than_the_others():
-    scores = {run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
-              for task in (EASY, HARD) for arm in (OURS, THEIRS) for seed in SEEDS}  # fmt: skip
+    scores = {
+        run_of(task, arm, seed): {"as trained": 50.0 if task == EASY else 10.0}
+        for task in (EASY, HARD)
+        for arm in (OURS, THEIRS)
+        for seed in SEEDS
+    }
     for seed in (4, 5, 6):
         scores[run_of(EASY, OURS, seed)] = {"as trained": 50.0}
     data = StudyData(STUDY, results_of(scores))
@@ -82,8 +90,11 @@ def test_seeds_are_those_that_were_tested_under_the_condition():
 
 
 def test_only_runs_of_one_budget_are_compared_by_default_the_largest():
-    scores = {run_of(EASY, OURS, 1, 1000): {"as trained": 1.0}, run_of(EASY, OURS, 1, 2000): {"as trained": 2.0},
-              run_of(EASY, THEIRS, 1, 1000): {"as trained": 3.0}}  # fmt: skip
+    scores = {
+        run_of(EASY, OURS, 1, 1000): {"as trained": 1.0},
+        run_of(EASY, OURS, 1, 2000): {"as trained": 2.0},
+        run_of(EASY, THEIRS, 1, 1000): {"as trained": 3.0},
+    }
     results = results_of(scores)
     largest, given = StudyData(STUDY, results), StudyData(STUDY, results, 1000)
     assert (largest.budget(EASY), given.budget(EASY)) == (2000, 1000)

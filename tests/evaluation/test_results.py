@@ -17,9 +17,12 @@ def write_run(folder, success=0.5, name=RUN.name):
     (run_dir / "tests").mkdir(parents=True)
     record = {
         "config": {"env_id": "Easy-v1", "policy": "grpd", "algorithm": "bpp", "seed": 1, "total_timesteps": 1000},
-        "device": "cpu", "device_name": "a core", "python": "3.11", "versions": {"torch": "2"},
+        "device": "cpu",
+        "device_name": "a core",
+        "python": "3.11",
+        "versions": {"torch": "2"},
         "git": {"commit": "abc", "dirty": False},
-    }  # fmt: skip
+    }
     (run_dir / "config.json").write_text(json.dumps(record))
     rows = [
         {"kind": "train", "global_step": 500, "time/update_time": 1.0, "time/rollout_time": 2.0, "losses/kl_projected": 0.1},

@@ -50,10 +50,7 @@ def test_going_straight_to_the_goal_does_not_solve_it():
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("num_grippers", "shape"),
-    [(4, "U"), (4, "V"), (4, "L"), (4, "O"), (3, "W"), (3, "V"), (3, "L")],
-)
+@pytest.mark.parametrize(("num_grippers", "shape"), [(4, "U"), (4, "V"), (4, "L"), (4, "O"), (3, "W"), (3, "V"), (3, "L")])
 def test_expert_solves_other_tasks_whose_spans_bulge_to_one_side(num_grippers, shape):
     env = make_env(32, num_grippers=num_grippers, goal_shape=shape)
     info = play(env, make_expert("RopeShaping-v1", env).act)

@@ -41,14 +41,8 @@ def test_round_trip_of_full_graphs_is_exact(geometric):
     for node_type in ("object", "actuator"):
         for key in ("position", "vectors", "scalars", "mask"):
             assert torch.equal(back[node_type][key], graph[node_type][key]), key
-    expected = [
-        [[s for s in row if s >= 0] for row in rows]
-        for rows in graph["object"]["neighbors"].tolist()
-    ]
-    actual = [
-        [[s for s in row if s >= 0] for row in rows]
-        for rows in back["object"]["neighbors"].tolist()
-    ]
+    expected = [[[s for s in row if s >= 0] for row in rows] for rows in graph["object"]["neighbors"].tolist()]
+    actual = [[[s for s in row if s >= 0] for row in rows] for rows in back["object"]["neighbors"].tolist()]
     assert actual == expected
 
 
@@ -156,9 +150,7 @@ def test_layer_equals_a_scatter_implementation(edge_type, num_radial, geometric)
     if edge_type == MESH:
         edges = geometry.neighbors(places[0], senders["mask"], senders["neighbors"])
     else:
-        edges = geometry.complete(
-            places[0], senders["mask"], places[1], exclude_self=edge_type == BETWEEN
-        )
+        edges = geometry.complete(places[0], senders["mask"], places[1], exclude_self=edge_type == BETWEEN)
     scalars, vectors = conv(senders["scalars"], senders["vectors"].permute(3, 0, 1, 2), edges)
     store = data[edge_type]
     features = data[sender].scalars, data[sender].vectors
@@ -192,8 +184,7 @@ def test_networkx_graph_has_the_channels_and_edges():
 
 
 @pytest.mark.parametrize(
-    ("convert", "package", "extra"),
-    [(to_hetero_data, "torch_geometric", "pyg"), (to_networkx, "networkx", "networkx")],
+    ("convert", "package", "extra"), [(to_hetero_data, "torch_geometric", "pyg"), (to_networkx, "networkx", "networkx")]
 )
 def test_missing_package_names_the_install_line(convert, package, extra, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == package]:
@@ -205,10 +196,7 @@ def test_missing_package_names_the_install_line(convert, package, extra, monkeyp
 
 def test_misfits_are_refused_by_name(geometric):
     graph = make_graph()
-    narrow = {
-        **graph,
-        "object": {**graph["object"], "scalars": graph["object"]["scalars"][..., 1:]},
-    }
+    narrow = {**graph, "object": {**graph["object"], "scalars": graph["object"]["scalars"][..., 1:]}}
     with pytest.raises(ValueError, match=r"object.scalars must have shape .*4.* got .*3"):
         to_hetero_data(narrow, SCHEMA)
     data = to_hetero_data(graph, SCHEMA)

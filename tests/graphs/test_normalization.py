@@ -13,18 +13,12 @@ def test_scales_are_root_mean_squares():
     graph["object"]["scalars"][0, :, 0] = torch.tensor([1.0, 7.0])
     normalizer = GraphNormalizer(SCHEMA)
     normalizer.update(graph)
-    torch.testing.assert_close(
-        normalizer.root_mean_square("object", "vectors")[0], torch.tensor(7.5**0.5)
-    )
+    torch.testing.assert_close(normalizer.root_mean_square("object", "vectors")[0], torch.tensor(7.5**0.5))
     # (1 + 49) / 2 = 25.
-    torch.testing.assert_close(
-        normalizer.root_mean_square("object", "scalars")[0], torch.tensor(5.0)
-    )
+    torch.testing.assert_close(normalizer.root_mean_square("object", "scalars")[0], torch.tensor(5.0))
     scaled = normalizer(graph)
     torch.testing.assert_close(scaled["object"]["scalars"][0, :, 0], torch.tensor([0.2, 1.4]))
-    torch.testing.assert_close(
-        scaled["object"]["vectors"][0, 0, 0], torch.tensor([3.0, 0, 0]) / 7.5**0.5
-    )
+    torch.testing.assert_close(scaled["object"]["vectors"][0, 0, 0], torch.tensor([3.0, 0, 0]) / 7.5**0.5)
 
 
 def test_parts_add_up_to_the_whole():
@@ -34,10 +28,7 @@ def test_parts_add_up_to_the_whole():
     normalizer.update(whole)
     for part in (slice(0, 1), slice(1, 4), slice(4, 10)):
         pieces.update(
-            {
-                key: value[part] if key == "gravity" else {k: v[part] for k, v in value.items()}
-                for key, value in whole.items()
-            }
+            {key: value[part] if key == "gravity" else {k: v[part] for k, v in value.items()} for key, value in whole.items()}
         )
     for name, buffer in normalizer.state_dict().items():
         torch.testing.assert_close(pieces.state_dict()[name], buffer)

@@ -23,27 +23,12 @@ def broken(node_type, key, change):
 @pytest.mark.parametrize(
     ("node_type", "key", "change", "message"),
     [
-        (
-            "object",
-            "position",
-            lambda x: x[..., :2],
-            r"object.position .*\(4, 12, 3\).*\(4, 12, 2\)",
-        ),
-        (
-            "object",
-            "vectors",
-            lambda x: x[:, :, :1],
-            r"object.vectors .*\(4, 12, 2, 3\).*\(4, 12, 1, 3\)",
-        ),
+        ("object", "position", lambda x: x[..., :2], r"object.position .*\(4, 12, 3\).*\(4, 12, 2\)"),
+        ("object", "vectors", lambda x: x[:, :, :1], r"object.vectors .*\(4, 12, 2, 3\).*\(4, 12, 1, 3\)"),
         ("object", "scalars", lambda x: x[:, :5], r"object.scalars .*\(4, 12, 4\).*\(4, 5, 4\)"),
         ("object", "mask", lambda x: x.float(), r"object.mask .*bool.*float32"),
         ("object", "neighbors", lambda x: x.int(), r"object.neighbors .*int64.*int32"),
-        (
-            "object",
-            "neighbors",
-            lambda x: x[:, :5],
-            r"object.neighbors .*\(4, 12, 3\).*\(4, 5, 3\)",
-        ),
+        ("object", "neighbors", lambda x: x[:, :5], r"object.neighbors .*\(4, 12, 3\).*\(4, 5, 3\)"),
         ("object", "neighbors", lambda x: x[..., :0], "at least one column"),
         ("actuator", "position", lambda x: x[:2], r"actuator.position .*\(4, 3, 3\).*\(2, 3, 3\)"),
         ("actuator", "scalars", lambda x: x.long(), r"actuator.scalars .*floating point.*int64"),

@@ -57,9 +57,7 @@ def test_bpp_at_the_old_policy_is_the_plain_policy_gradient():
     assert metrics["mean_bound_active"] == metrics["cov_bound_active"] == 0.0
     torch.testing.assert_close(loss, -batch.advantages.mean())
     gradient = torch.autograd.grad(loss, dist.mean)[0]
-    expected = torch.autograd.grad(
-        -(dist.log_prob(batch.actions) * batch.advantages).mean(), dist.mean
-    )[0]
+    expected = torch.autograd.grad(-(dist.log_prob(batch.actions) * batch.advantages).mean(), dist.mean)[0]
     torch.testing.assert_close(gradient, expected)
 
 

@@ -100,15 +100,16 @@ def test_other_version(tmp_path, monkeypatch):
         load_checkpoint(tmp_path / "a.pt")
 
 
-@pytest.mark.parametrize(("name", "options", "is_read"), [
-    ("grpd", {"num_radial": 6, "num_local_radial": 1}, True),
-    ("grpd", {"num_radial": 6, "num_local_radial": 2}, False),
-    ("empn", {"num_radial": 2}, False),
-    ("transformer", {}, True),
-])  # fmt: skip
-def test_version_1_is_read_where_its_order_of_weights_is_the_same(
-    name, options, is_read, tmp_path, monkeypatch
-):
+@pytest.mark.parametrize(
+    ("name", "options", "is_read"),
+    [
+        ("grpd", {"num_radial": 6, "num_local_radial": 1}, True),
+        ("grpd", {"num_radial": 6, "num_local_radial": 2}, False),
+        ("empn", {"num_radial": 2}, False),
+        ("transformer", {}, True),
+    ],
+)
+def test_version_1_is_read_where_its_order_of_weights_is_the_same(name, options, is_read, tmp_path, monkeypatch):
     monkeypatch.setattr("maniskill_grpd.learning.checkpoint.VERSION", 1)
     config = {"name": name, "options": options}
     save_checkpoint(tmp_path / "a.pt", {**contents(), "policy": config})
@@ -123,9 +124,7 @@ def test_version_1_is_read_where_its_order_of_weights_is_the_same(
 def test_a_policy_with_other_options_is_refused_by_name(tmp_path):
     save_checkpoint(tmp_path / "a.pt", contents(policy=ToyPolicy(hidden_dim=8)))
     loaded = load_checkpoint(tmp_path / "a.pt")
-    with pytest.raises(
-        CheckpointError, match=r"options.hidden_dim: the checkpoint has 8, here it is 16"
-    ):
+    with pytest.raises(CheckpointError, match=r"options.hidden_dim: the checkpoint has 8, here it is 16"):
         restore_policy(ToyPolicy(hidden_dim=16), loaded)
 
 

@@ -80,21 +80,12 @@ def test_schedules_start_at_the_first_value_and_go_to_the_last():
 
 
 def test_pairs_are_parsed_as_json_or_strings():
-    config = TrainConfig(
-        env_kwargs=("num_grippers=2", 'shapes=["U", "W"]', "pose_range=half", "flag=true")
-    )
-    assert config.env_options == {
-        "num_grippers": 2,
-        "shapes": ["U", "W"],
-        "pose_range": "half",
-        "flag": True,
-    }
+    config = TrainConfig(env_kwargs=("num_grippers=2", 'shapes=["U", "W"]', "pose_range=half", "flag=true"))
+    assert config.env_options == {"num_grippers": 2, "shapes": ["U", "W"], "pose_range": "half", "flag": True}
 
 
 def test_command_line_takes_underscores_and_pairs():
-    arguments = (
-        "--num_envs 8 --total_timesteps 1_000_000 --env_kwargs num_grippers=2 goal=V --anneal_lr"
-    )
+    arguments = "--num_envs 8 --total_timesteps 1_000_000 --env_kwargs num_grippers=2 goal=V --anneal_lr"
     config = tyro.cli(TrainConfig, args=arguments.split())
     assert config.num_envs == 8
     assert config.total_timesteps == 1_000_000

@@ -11,13 +11,7 @@ SEEDS = [7, 3, 11, 5, 2]
 
 def test_every_float_and_success_is_reported_per_episode():
     episodes = evaluate_policy(ToyPolicy(), ToyEnv(2), SEEDS)
-    assert set(episodes) == {
-        "return",
-        "episode_len",
-        "success_once",
-        "success_at_end",
-        "mean_distance",
-    }
+    assert set(episodes) == {"return", "episode_len", "success_once", "success_at_end", "mean_distance"}
     assert all(values.shape == (5,) for values in episodes.values())
     assert episodes["success_once"].dtype == torch.bool
 

@@ -29,11 +29,7 @@ ENV = {
 def run_until_killed(run_dir, place, call):
     """Train in a process that kills itself at the given call of a function."""
     done = subprocess.run(
-        [sys.executable, str(SCRIPT), str(run_dir), place, str(call)],
-        capture_output=True,
-        env=ENV,
-        timeout=100,
-        check=False,
+        [sys.executable, str(SCRIPT), str(run_dir), place, str(call)], capture_output=True, env=ENV, timeout=100, check=False
     )
     assert done.returncode == -signal.SIGKILL, done.stderr.decode()
 

@@ -25,10 +25,7 @@ def test_the_fisher_product_is_the_mean_outer_product_of_scores():
     actor, _ = split_parameters(learner, batch)
     log_probs = policy(batch.graph)[0].log_prob(batch.actions)
     scores = torch.stack(
-        [
-            torch.cat([g.reshape(-1) for g in torch.autograd.grad(p, actor, retain_graph=True)])
-            for p in log_probs
-        ]
+        [torch.cat([g.reshape(-1) for g in torch.autograd.grad(p, actor, retain_graph=True)]) for p in log_probs]
     )
     vector = torch.randn(scores.shape[1], dtype=torch.float64)
     expected = scores.T @ (scores @ vector) / len(scores)

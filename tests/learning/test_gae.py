@@ -21,14 +21,7 @@ def estimate(terminated_at=None, truncated_at=None, final_value=0.0):
         truncated[truncated_at] = True
         final_values[truncated_at] = final_value
     advantages, returns = generalized_advantages(
-        REWARDS,
-        VALUES,
-        NEXT_VALUE,
-        terminated,
-        truncated,
-        final_values,
-        gamma=GAMMA,
-        gae_lambda=LAMBDA,
+        REWARDS, VALUES, NEXT_VALUE, terminated, truncated, final_values, gamma=GAMMA, gae_lambda=LAMBDA
     )
     torch.testing.assert_close(returns, advantages + VALUES)
     return advantages.flatten().tolist()
@@ -66,7 +59,5 @@ def test_a_termination_at_the_time_limit_is_a_termination():
 def test_lambda_one_gives_discounted_returns():
     # R_2 = 4 + 0.5 * 16 = 12, R_1 = 2 + 6 = 8, R_0 = 1 + 4 = 5
     none = torch.zeros(3, 1, dtype=torch.bool)
-    _, returns = generalized_advantages(
-        REWARDS, VALUES, NEXT_VALUE, none, none, torch.zeros(3, 1), gamma=0.5, gae_lambda=1.0
-    )
+    _, returns = generalized_advantages(REWARDS, VALUES, NEXT_VALUE, none, none, torch.zeros(3, 1), gamma=0.5, gae_lambda=1.0)
     assert returns.flatten().tolist() == [5.0, 8.0, 12.0]

@@ -15,9 +15,7 @@ BOUNDS = Bounds(mean=0.05, cov=0.005, gripper=0.01)
 
 
 def make_algorithm(**options):
-    return LagrangianBPP(
-        **{"bounds": BOUNDS, "dual_step": 0.5, "max_multiplier": 50.0, "ent_coef": 0.0, **options}
-    )
+    return LagrangianBPP(**{"bounds": BOUNDS, "dual_step": 0.5, "max_multiplier": 50.0, "ent_coef": 0.0, **options})
 
 
 def test_multipliers_stay_bounded_whatever_the_kl():

@@ -15,9 +15,7 @@ def draw(rows, dim, std_dim, dtype=torch.float64, seed=0, low=-1.0, high=1.0):
     """Draw new and old Gaussians with std log-uniform in [10^low, 10^high]."""
     rng = torch.Generator().manual_seed(seed)
     means = torch.randn(2, rows, dim, generator=rng, dtype=torch.float64)
-    stds = 10 ** (
-        low + (high - low) * torch.rand(2, rows, std_dim, generator=rng, dtype=torch.float64)
-    )
+    stds = 10 ** (low + (high - low) * torch.rand(2, rows, std_dim, generator=rng, dtype=torch.float64))
     return means[0].to(dtype), stds[0].to(dtype), means[1].to(dtype), stds[1].to(dtype)
 
 
@@ -58,9 +56,7 @@ def test_an_active_bound_is_met_exactly(std_dim):
     for before, after, bound in zip(raw, bounded, (0.05, 0.005), strict=True):
         active = before > bound
         assert active.sum() > 100
-        torch.testing.assert_close(
-            after[active], torch.full_like(after[active], bound), rtol=1e-9, atol=0
-        )
+        torch.testing.assert_close(after[active], torch.full_like(after[active], bound), rtol=1e-9, atol=0)
 
 
 @pytest.mark.parametrize("std_dim", [1, 4])
@@ -89,9 +85,7 @@ def test_projection_is_the_constrained_optimum_found_by_brute_force(dim):
     gaussians = draw(6, dim, dim, seed=dim, low=-0.5, high=0.5)
     projected = project_gaussian(*gaussians, mean_bound=0.05, cov_bound=0.02)
     for row in range(6):
-        best_mean, best_std = _brute_force(
-            *(tensor[row].numpy() for tensor in gaussians), 0.05, 0.02
-        )
+        best_mean, best_std = _brute_force(*(tensor[row].numpy() for tensor in gaussians), 0.05, 0.02)
         np.testing.assert_allclose(projected[0][row], best_mean, rtol=0, atol=2e-5)
         np.testing.assert_allclose(projected[1][row], best_std, rtol=2e-5)
 
@@ -105,24 +99,14 @@ def _brute_force(mean, std, old_mean, old_std, mean_bound, cov_bound):
         return 0.5 * np.sum(np.exp(log_ratio) - 1 - log_ratio)
 
     # Constraints scaled to order one, or SLSQP stops at its own tolerance.
-    best_mean = _slsqp(
-        lambda x: mean_part(x, mean), lambda x: 1 - mean_part(x, old_mean) / mean_bound, old_mean
-    )
-    best_log_std = _slsqp(
-        lambda x: cov_part(x, std), lambda x: 1 - cov_part(x, old_std) / cov_bound, np.log(old_std)
-    )
+    best_mean = _slsqp(lambda x: mean_part(x, mean), lambda x: 1 - mean_part(x, old_mean) / mean_bound, old_mean)
+    best_log_std = _slsqp(lambda x: cov_part(x, std), lambda x: 1 - cov_part(x, old_std) / cov_bound, np.log(old_std))
     return best_mean, np.exp(best_log_std)
 
 
 def _slsqp(objective, inequality, start):
     constraint = {"type": "ineq", "fun": inequality}
-    result = minimize(
-        objective,
-        start,
-        constraints=constraint,
-        method="SLSQP",
-        options={"ftol": 1e-13, "maxiter": 500},
-    )
+    result = minimize(objective, start, constraints=constraint, method="SLSQP", options={"ftol": 1e-13, "maxiter": 500})
     assert inequality(result.x) > -1e-7
     return result.x
 
@@ -147,9 +131,7 @@ def test_old_equal_to_new_gives_zero_divergence_and_finite_gradients(std_dim):
     std.requires_grad_()
     old = mean.detach(), std.detach()
     projected = project_gaussian(mean, std, *old, mean_bound=0.05, cov_bound=0.005)
-    loss = sum(
-        part.sum() for part in gaussian_kl_parts(mean, std, *[p.detach() for p in projected])
-    )
+    loss = sum(part.sum() for part in gaussian_kl_parts(mean, std, *[p.detach() for p in projected]))
     loss.backward()
     assert loss.item() == 0.0
     assert torch.equal(mean.grad, torch.zeros_like(mean))
@@ -170,9 +152,7 @@ def test_isotropic_projection_is_rotation_equivariant():
     rotation = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0]
     bounds = {"mean_bound": 0.05, "cov_bound": 0.005}
     turned_after = project_gaussian(mean, std, old_mean, old_std, **bounds)[0] @ rotation
-    turned_before = project_gaussian(mean @ rotation, std, old_mean @ rotation, old_std, **bounds)[
-        0
-    ]
+    turned_before = project_gaussian(mean @ rotation, std, old_mean @ rotation, old_std, **bounds)[0]
     torch.testing.assert_close(turned_after, turned_before, rtol=0, atol=1e-13)
 
 
@@ -182,18 +162,14 @@ def test_anisotropic_projection_is_not_rotation_equivariant():
     rotation = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64))[0]
     bounds = {"mean_bound": 0.05, "cov_bound": 0.005}
     turned_after = project_gaussian(mean, std, old_mean, old_std, **bounds)[0] @ rotation
-    turned_before = project_gaussian(mean @ rotation, std, old_mean @ rotation, old_std, **bounds)[
-        0
-    ]
+    turned_before = project_gaussian(mean @ rotation, std, old_mean @ rotation, old_std, **bounds)[0]
     assert (turned_after - turned_before).abs().max() > 1e-2
 
 
 @pytest.mark.parametrize("std_dim", [1, 3])
 def test_kl_parts_follow_the_definition(std_dim):
     gaussians = draw(200, 3, std_dim)
-    for part, expected in zip(
-        gaussian_kl_parts(*gaussians), kl_by_definition(*gaussians), strict=True
-    ):
+    for part, expected in zip(gaussian_kl_parts(*gaussians), kl_by_definition(*gaussians), strict=True):
         torch.testing.assert_close(part, expected, rtol=1e-9, atol=1e-12)
 
 

@@ -9,13 +9,7 @@ import torch
 from toy_env import ToyEnv, ToyPolicy
 from toy_run import CONFIG, make_toy_trainer
 
-from maniskill_grpd.learning import (
-    CheckpointError,
-    NonFiniteError,
-    TrainConfig,
-    Trainer,
-    load_checkpoint,
-)
+from maniskill_grpd.learning import CheckpointError, NonFiniteError, TrainConfig, Trainer, load_checkpoint
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.learning.trainer import FIRST_TRAINING_SEED, episode_seeds
 from maniskill_grpd.learning.update import FirstOrderAlgorithm
@@ -40,13 +34,7 @@ LEARNERS = {
 def test_all_algorithms_learn_the_toy_task(tmp_path, name):
     """Untrained: return 1.2, success 0. A perfect policy reaches about 6.7."""
     config = TrainConfig(
-        **LEARNERS[name],
-        num_envs=32,
-        num_steps=10,
-        num_minibatches=4,
-        total_timesteps=12_800,
-        learning_rate=3e-3,
-        eval_freq=20,
+        **LEARNERS[name], num_envs=32, num_steps=10, num_minibatches=4, total_timesteps=12_800, learning_rate=3e-3, eval_freq=20
     )
     trainer = Trainer(config, ToyPolicy(), ToyEnv(32), ToyEnv(16), tmp_path)
     result = trainer.train()
@@ -103,9 +91,7 @@ def assert_same_end(run_dir, other):
 
 def untimed_rows(run_dir):
     rows = read_rows(run_dir / "metrics.jsonl")
-    return [
-        {k: v for k, v in row.items() if not k.startswith(("time/", "charts/SPS"))} for row in rows
-    ]
+    return [{k: v for k, v in row.items() if not k.startswith(("time/", "charts/SPS"))} for row in rows]
 
 
 def test_two_runs_with_one_seed_are_equal(tmp_path, unbroken):
@@ -171,12 +157,7 @@ def test_metrics_carry_maniskill_names(unbroken):
         "time/rollout_time",
         "time/update_time",
     }
-    assert set(evaluation[0]) >= {
-        "eval/return",
-        "eval/success_once",
-        "eval/mean_distance",
-        "time/eval_time",
-    }
+    assert set(evaluation[0]) >= {"eval/return", "eval/success_once", "eval/mean_distance", "time/eval_time"}
     assert list(unbroken.glob("events.out.tfevents.*"))
 
 
@@ -188,9 +169,7 @@ def test_the_learning_rate_anneals_to_zero(unbroken):
 def test_checkpoints_are_written(unbroken):
     best = load_checkpoint(unbroken / "best_ckpt.pt")
     returns = [row["eval/return"] for row in read_rows(unbroken / "metrics.jsonl", "eval")]
-    successes = [
-        row["eval/success_at_end"] for row in read_rows(unbroken / "metrics.jsonl", "eval")
-    ]
+    successes = [row["eval/success_at_end"] for row in read_rows(unbroken / "metrics.jsonl", "eval")]
     assert best["best_score"] == list(max(zip(successes, returns, strict=True)))
     assert load_checkpoint(unbroken / "last.pt")["iteration"] == 9
 
@@ -203,10 +182,7 @@ def test_the_best_checkpoint_follows_the_chosen_metric(tmp_path):
 
 
 def test_a_task_without_the_chosen_metric_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "maniskill_grpd.learning.trainer.evaluate_policy",
-        lambda *args: {"return": torch.zeros(2)},
-    )
+    monkeypatch.setattr("maniskill_grpd.learning.trainer.evaluate_policy", lambda *args: {"return": torch.zeros(2)})
     with pytest.raises(ValueError, match="does not report success_at_end.*--best_metric"):
         make_toy_trainer(tmp_path).train()
 
@@ -223,10 +199,7 @@ def test_non_finite_numbers_stop_training_with_name_and_place(tmp_path, broken):
     env = ToyEnv(8, stagger=True, break_at=(31, broken))
     trainer = Trainer(CONFIG, ToyPolicy(), env, None, tmp_path)
     name, step = ("the reward", 2) if broken == "reward" else ("observation object.vectors", 3)
-    with pytest.raises(
-        NonFiniteError,
-        match=rf"{name} .*iteration 3, step {step}, in environment\(s\) 0 \(1 of 8\)",
-    ):
+    with pytest.raises(NonFiniteError, match=rf"{name} .*iteration 3, step {step}, in environment\(s\) 0 \(1 of 8\)"):
         trainer.train()
     assert load_checkpoint(tmp_path / "last.pt")["iteration"] == 3
 

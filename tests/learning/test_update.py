@@ -11,9 +11,7 @@ from maniskill_grpd.learning.rollout import graph_items
 from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner, autocast_policy
 from maniskill_grpd.learning.value_scale import ValueScale
 
-CONFIG = TrainConfig(
-    num_envs=8, num_steps=7, num_minibatches=4, total_timesteps=56, update_epochs=1
-)
+CONFIG = TrainConfig(num_envs=8, num_steps=7, num_minibatches=4, total_timesteps=56, update_epochs=1)
 
 
 def collect(policy, env=None, scale=None):
@@ -71,12 +69,8 @@ def test_select_gathers_matching_rows():
     rollout, _ = collect(ToyPolicy())
     batch = rollout.select(torch.tensor([9, 0]))  # (step 1, env 1) and (step 0, env 0)
     assert torch.equal(batch.actions, torch.stack([rollout.actions[1, 1], rollout.actions[0, 0]]))
-    assert torch.equal(
-        batch.graph["object"]["vectors"][0], rollout.graph["object"]["vectors"][1, 1]
-    )
-    assert torch.equal(
-        batch.graph["object"]["neighbors"][0], rollout.graph["object"]["neighbors"][1, 1]
-    )
+    assert torch.equal(batch.graph["object"]["vectors"][0], rollout.graph["object"]["vectors"][1, 1])
+    assert torch.equal(batch.graph["object"]["neighbors"][0], rollout.graph["object"]["neighbors"][1, 1])
 
 
 def test_a_graph_that_changes_its_shape_is_refused():
@@ -108,9 +102,7 @@ def test_a_probe_sees_every_transition_once_per_epoch_with_ratio_one():
     policy = ToyPolicy()
     rollout, _ = collect(policy)
     probe = RatioProbe()
-    config = TrainConfig(
-        **{**CONFIG.to_dict(), "vf_coef": 0.0, "update_epochs": 1, "env_kwargs": ()}
-    )
+    config = TrainConfig(**{**CONFIG.to_dict(), "vf_coef": 0.0, "update_epochs": 1, "env_kwargs": ()})
     run_update(policy, rollout, config, probe)
     ratios = torch.cat(probe.ratios)
     assert ratios.shape == (56,)

@@ -15,12 +15,10 @@ STEP_SIZE = 0.1
 
 SCHEMA = GraphSchema(
     object=NodeSchema(
-        vectors=(Channel("goal_offset", "vector", "m", "toy"),),
-        scalars=(Channel("goal_distance", "scalar", "m", "toy"),),
+        vectors=(Channel("goal_offset", "vector", "m", "toy"),), scalars=(Channel("goal_distance", "scalar", "m", "toy"),)
     ),
     actuator=NodeSchema(
-        vectors=(Channel("goal_offset", "vector", "m", "toy"),),
-        scalars=(Channel("goal_distance", "scalar", "m", "toy"),),
+        vectors=(Channel("goal_offset", "vector", "m", "toy"),), scalars=(Channel("goal_distance", "scalar", "m", "toy"),)
     ),
     length_scale=1.0,
     edge_length=1.0,
@@ -40,16 +38,7 @@ class ToyEnv:
         break_at: Step count at which the reward ("reward") or observation ("obs") turns NaN.
     """
 
-    def __init__(
-        self,
-        num_envs,
-        num_actuators=2,
-        max_steps=10,
-        stagger=False,
-        auto_reset=True,
-        gripper=False,
-        break_at=None,
-    ):
+    def __init__(self, num_envs, num_actuators=2, max_steps=10, stagger=False, auto_reset=True, gripper=False, break_at=None):
         self.gripper = gripper
         self.num_envs, self.num_actuators, self.max_steps = num_envs, num_actuators, max_steps
         self.stagger, self.auto_reset = stagger, auto_reset
@@ -126,13 +115,7 @@ class ToyEnv:
             nodes["vectors"][0] = torch.nan
         neighbors = torch.full((self.num_envs, self.num_actuators, 1), -1)
         gravity = torch.tensor([0.0, 0.0, -9.81]).expand(self.num_envs, 3)
-        return {
-            "graph": {
-                "object": {**nodes, "neighbors": neighbors},
-                "actuator": nodes,
-                "gravity": gravity,
-            }
-        }
+        return {"graph": {"object": {**nodes, "neighbors": neighbors}, "actuator": nodes, "gravity": gravity}}
 
 
 class ToyPolicy(nn.Module):
@@ -141,20 +124,14 @@ class ToyPolicy(nn.Module):
     def __init__(self, seed=0, hidden_dim=16, gripper=False):
         super().__init__()
         self.schema = SCHEMA
-        self.config = {
-            "name": "toy",
-            "schema": SCHEMA.to_dict(),
-            "options": {"hidden_dim": hidden_dim},
-        }
+        self.config = {"name": "toy", "schema": SCHEMA.to_dict(), "options": {"hidden_dim": hidden_dim}}
         self.normalizer = GraphNormalizer(SCHEMA)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.trunk = nn.Sequential(nn.Linear(4, hidden_dim), nn.Tanh())
             self.mean = nn.Linear(hidden_dim, 3)
             self.gripper = nn.Linear(4, 1) if gripper else None
-            self.critic = nn.Sequential(
-                nn.Linear(4, hidden_dim), nn.Tanh(), nn.Linear(hidden_dim, 1)
-            )
+            self.critic = nn.Sequential(nn.Linear(4, hidden_dim), nn.Tanh(), nn.Linear(hidden_dim, 1))
         nn.init.zeros_(self.mean.weight)
         self.log_std = nn.Parameter(torch.tensor(-0.5))
 

@@ -20,9 +20,5 @@ CONFIG = TrainConfig(
 def make_toy_trainer(run_dir, config=CONFIG):
     """Make a trainer on the toy task, always with the same initial weights."""
     return Trainer(
-        config,
-        ToyPolicy(seed=config.seed),
-        ToyEnv(config.num_envs, stagger=True),
-        ToyEnv(config.num_eval_envs),
-        run_dir,
+        config, ToyPolicy(seed=config.seed), ToyEnv(config.num_envs, stagger=True), ToyEnv(config.num_eval_envs), run_dir
     )

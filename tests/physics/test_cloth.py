@@ -179,10 +179,14 @@ def test_cloth_refuses_bad_geometry(outline, holes, options, message):
 @pytest.mark.parametrize(
     "options",
     [
-        {"area_density": 0.0}, {"stretch_stiffness": -1.0}, {"shear_stiffness": 0.0}, {"bend_stiffness": float("nan")},
-        {"max_strain": -0.1}, {"friction": -0.1},
+        {"area_density": 0.0},
+        {"stretch_stiffness": -1.0},
+        {"shear_stiffness": 0.0},
+        {"bend_stiffness": float("nan")},
+        {"max_strain": -0.1},
+        {"friction": -0.1},
     ],
-)  # fmt: skip
+)
 def test_cloth_material_refuses_non_physical_values(options):
     with pytest.raises(ValueError, match=next(iter(options))):
         ClothMaterial(**options)

@@ -13,9 +13,7 @@ EVERYTHING = Features(ropes=True, bends=True, hinges=True, tethers=True, collide
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no CUDA compiler there")
 @pytest.mark.parametrize(
-    "features",
-    [Features(ropes=True, bends=True), pytest.param(EVERYTHING, marks=pytest.mark.slow)],
-    ids=["rope", "everything"],
+    "features", [Features(ropes=True, bends=True), pytest.param(EVERYTHING, marks=pytest.mark.slow)], ids=["rope", "everything"]
 )
 def test_the_step_compiles_for_cuda(features, tmp_path):
     outputs = wp.compile_aot_module(build_step_kernel(features, in_lanes=False).module, arch=80, module_dir=tmp_path)

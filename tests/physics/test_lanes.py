@@ -25,9 +25,12 @@ from maniskill_grpd.physics.lanes import (  # noqa: F401 (operators on lanes)
 
 @wp.kernel(module="unique", enable_backward=False)
 def compute(
-    numbers: wp.array2d(dtype=Numbers), vectors: wp.array2d(dtype=Vectors), flags: wp.array(dtype=bool),
-    number_results: wp.array2d(dtype=Numbers), vector_results: wp.array2d(dtype=Vectors),
-):  # fmt: skip
+    numbers: wp.array2d(dtype=Numbers),
+    vectors: wp.array2d(dtype=Vectors),
+    flags: wp.array(dtype=bool),
+    number_results: wp.array2d(dtype=Numbers),
+    vector_results: wp.array2d(dtype=Vectors),
+):
     a = numbers[0, 0]
     b = numbers[0, 1]
     x = vectors[0, 0]
@@ -67,9 +70,18 @@ def test_lanes_agree_with_numpy():
     vector_results = wp.zeros((1, 7), dtype=Vectors, device="cpu")
     wp.launch(compute, dim=1, inputs=[numbers, vectors, flags, number_results, vector_results], device="cpu")
     expected = [
-        a + b, a - b, a * b, a / b, np.sqrt(b), np.minimum(a, b), np.maximum(a, b), np.where(a > 0, b, a), np.full_like(a, 3.0),
-        x.sum(axis=0), 3.0 * a,
-    ]  # fmt: skip
+        a + b,
+        a - b,
+        a * b,
+        a / b,
+        np.sqrt(b),
+        np.minimum(a, b),
+        np.maximum(a, b),
+        np.where(a > 0, b, a),
+        np.full_like(a, 3.0),
+        x.sum(axis=0),
+        3.0 * a,
+    ]
     np.testing.assert_allclose(number_results.numpy()[0], np.stack(expected), rtol=1e-6, atol=1e-6)
     expected = [x + y, x - y, x * a, x / b, np.where(a > 0, x, y), 2.0 * x, 3.0 * x]
     np.testing.assert_allclose(vector_results.numpy()[0].reshape(7, 3, WIDTH), np.stack(expected), rtol=1e-6)

@@ -14,12 +14,10 @@ def _channels(kind, *names):
 
 SCHEMA = GraphSchema(
     object=NodeSchema(
-        _channels("vector", "velocity", "goal_offset"),
-        _channels("scalar", "goal_distance", "arc", "held", "contact"),
+        _channels("vector", "velocity", "goal_offset"), _channels("scalar", "goal_distance", "arc", "held", "contact")
     ),
     actuator=NodeSchema(
-        _channels("vector", "velocity", "goal_offset"),
-        _channels("scalar", "goal_distance", "arc", "gripper_status"),
+        _channels("vector", "velocity", "goal_offset"), _channels("scalar", "goal_distance", "arc", "gripper_status")
     ),
     length_scale=0.8,
     edge_length=0.05,
@@ -45,17 +43,13 @@ def make_graph(batch=4, nodes=12, actuators=3, neighbors=3, seed=0, dtype=torch.
     points = (0.05 * normal(batch, nodes, 3)).cumsum(1)
     # Some grippers exactly at a node, as when they hold it.
     held = torch.arange(actuators) % nodes
-    tools = (
-        points[:, held] + 0.1 * normal(batch, actuators, 3) * (torch.arange(actuators) % 2)[:, None]
-    )
+    tools = points[:, held] + 0.1 * normal(batch, actuators, 3) * (torch.arange(actuators) % 2)[:, None]
     graph = {
         "object": node(nodes, SCHEMA.object, points),
         "actuator": node(actuators, SCHEMA.actuator, tools),
         "gravity": torch.tensor([0.0, 0.0, -9.81], dtype=dtype).repeat(batch, 1),
     }
-    graph["object"]["neighbors"] = torch.randint(
-        -1, nodes, (batch, nodes, neighbors), generator=rng
-    )
+    graph["object"]["neighbors"] = torch.randint(-1, nodes, (batch, nodes, neighbors), generator=rng)
     return graph
 
 

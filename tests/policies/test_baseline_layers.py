@@ -27,9 +27,7 @@ def test_complete_messages_match_a_loop_over_edges():
     actual = layer.complete(senders, receivers, points, tools, mask)
     for b, r in itertools.product(range(2), range(3)):
         messages = [
-            mlp_message(layer, senders[b, s], receivers[b, r], points[b, s] - tools[b, r])
-            for s in range(7)
-            if mask[b, s]
+            mlp_message(layer, senders[b, s], receivers[b, r], points[b, s] - tools[b, r]) for s in range(7) if mask[b, s]
         ]
         torch.testing.assert_close(actual[b, r], torch.stack(messages).mean(0))
 
@@ -44,10 +42,7 @@ def test_neighbor_messages_match_a_loop_over_edges():
     actual = layer.neighbors(features, place, nodes["mask"], nodes["neighbors"])
     for b, r in itertools.product(range(2), range(7)):
         listed = [s for s in nodes["neighbors"][b, r].tolist() if s >= 0 and nodes["mask"][b, s]]
-        messages = [
-            mlp_message(layer, features[b, s], features[b, r], place[b, s] - place[b, r])
-            for s in listed
-        ]
+        messages = [mlp_message(layer, features[b, s], features[b, r], place[b, s] - place[b, r]) for s in listed]
         expected = torch.stack(messages).mean(0) if messages else layer.output.bias
         torch.testing.assert_close(actual[b, r], expected)
 

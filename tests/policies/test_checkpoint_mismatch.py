@@ -21,9 +21,7 @@ def test_checkpoint_fits_itself(name):
     rebuilt = policy_from_config(policy.config)
     restore_policy(rebuilt, contents(policy))
     graph = make_graph()
-    assert torch.equal(
-        rebuilt.act(graph, deterministic=True), policy.act(graph, deterministic=True)
-    )
+    assert torch.equal(rebuilt.act(graph, deterministic=True), policy.act(graph, deterministic=True))
 
 
 def test_checkpoint_without_the_later_options_fits():
@@ -44,9 +42,7 @@ def test_another_option_is_named():
     with pytest.raises(CheckpointError, match=r"scalar_dim: the checkpoint has 16, here it is 32"):
         restore_policy(make_policy("grpd", SCHEMA), stored)
     with pytest.raises(CheckpointError, match=r"gripper: the checkpoint has None, here it is True"):
-        restore_policy(
-            make_policy("grpd", SCHEMA, gripper=True), contents(make_policy("grpd", SCHEMA))
-        )
+        restore_policy(make_policy("grpd", SCHEMA, gripper=True), contents(make_policy("grpd", SCHEMA)))
 
 
 def test_another_schema_is_named():
@@ -54,9 +50,7 @@ def test_another_schema_is_named():
     longer = dataclasses.replace(SCHEMA, length_scale=1.6)
     with pytest.raises(CheckpointError, match=r"length_scale: the checkpoint has 1.6, here .* 0.8"):
         restore_policy(make_policy("grpd", SCHEMA), contents(make_policy("grpd", longer)))
-    fewer = dataclasses.replace(
-        SCHEMA, object=NodeSchema(SCHEMA.object.vectors[:1], SCHEMA.object.scalars)
-    )
+    fewer = dataclasses.replace(SCHEMA, object=NodeSchema(SCHEMA.object.vectors[:1], SCHEMA.object.scalars))
     pattern = r"schema.object.vectors: the checkpoint has .*velocity.*, here .*goal_offset"
     with pytest.raises(CheckpointError, match=pattern):
         restore_policy(make_policy("grpd", SCHEMA), contents(make_policy("grpd", fewer)))

@@ -53,9 +53,7 @@ def test_divergence_from_itself_is_zero_and_small_ones_are_exact():
     assert all((part == 0).all() for part in old.kl_divergence(old))
     change = 1e-3
     new = ActionDistribution(old.mean, old.std * (1 + change), old.mask)
-    torch.testing.assert_close(
-        new.kl_divergence(old)[1], torch.full((1, 1), 3 * change**2), rtol=2e-2, atol=0.0
-    )
+    torch.testing.assert_close(new.kl_divergence(old)[1], torch.full((1, 1), 3 * change**2), rtol=2e-2, atol=0.0)
 
 
 def test_samples_have_the_stated_moments():

@@ -36,10 +36,7 @@ VARIANTS = {
     "independent": ("grpd", {"decoders": "independent", "num_decoders": 5, "gripper": True}),
     "local_degree_2": ("grpd", {"max_local_degree": 2, "normalize_vectors": True}),
     "empn": ("empn", {"gripper": True}),
-    "empn_naive": (
-        "empn",
-        {"decoder": "naive", "num_nearest": 2, "max_degree": 2, "num_layers": 2},
-    ),
+    "empn_naive": ("empn", {"decoder": "naive", "num_nearest": 2, "max_degree": 2, "num_layers": 2}),
 }
 
 
@@ -68,9 +65,7 @@ def symmetry_errors(policy, graph, rotation, translation):
         "value": relative_error(moved_value, value),
     }
     if distribution.gripper_logits is not None:
-        errors["gripper"] = relative_error(
-            moved_distribution.gripper_logits.sigmoid(), distribution.gripper_logits.sigmoid()
-        )
+        errors["gripper"] = relative_error(moved_distribution.gripper_logits.sigmoid(), distribution.gripper_logits.sigmoid())
     return errors
 
 
@@ -82,9 +77,7 @@ def limit(action):
 @pytest.mark.parametrize("dtype", TOLERANCE, ids=str)
 @pytest.mark.parametrize("variant", VARIANTS)
 @given(QUATERNIONS, TRANSLATIONS, NODE_COUNTS, ACTUATOR_COUNTS, SEEDS)
-def test_moving_the_scene_moves_the_action(
-    variant, dtype, quaternion, translation, nodes, actuators, seed
-):
+def test_moving_the_scene_moves_the_action(variant, dtype, quaternion, translation, nodes, actuators, seed):
     """Mean rotates; standard deviation and value stay; gravity turns with the scene."""
     name, options = VARIANTS[variant]
     policy = trained_looking_policy(dtype, seed, name=name, **options)
@@ -132,9 +125,7 @@ def test_straight_rope_held_at_its_nodes_is_no_exception(name):
         held = torch.linspace(0, nodes - 1, actuators).long()
         graph["actuator"]["position"] = graph["object"]["position"][:, held]
         for quaternion in ((0.3, -0.5, 0.2, 0.7), (0.9, 0.1, 0.4, -0.2), (0.1, 0.2, 0.3, 0.4)):
-            errors = symmetry_errors(
-                policy, graph, rotation_from_quaternion(quaternion), torch.ones(3).double()
-            )
+            errors = symmetry_errors(policy, graph, rotation_from_quaternion(quaternion), torch.ones(3).double())
             assert max(errors.values()) < TOLERANCE[torch.float64], errors
 
 
@@ -243,9 +234,7 @@ def test_negative_control_coordinates_as_scalars():
 
 def test_negative_control_printed_kernel(monkeypatch):
     """The kernel of eq. 20 and 31 as printed, a network of the direction, is not equivariant."""
-    network = torch.nn.Sequential(
-        torch.nn.Linear(3, 16), torch.nn.SiLU(), torch.nn.Linear(16, 3)
-    ).double()
+    network = torch.nn.Sequential(torch.nn.Linear(3, 16), torch.nn.SiLU(), torch.nn.Linear(16, 3)).double()
     factors = EdgeGeometry._factors
 
     def printed(self, offsets):

@@ -75,10 +75,7 @@ def test_sensitivity_decays_with_distance_in_local_messages_only():
     torch.manual_seed(0)
     ratios = {}
     for name, options in (("empn", {"num_layers": 5, "num_nearest": 1}), ("grpd", {})):
-        norms = sum(
-            jacobian_norms(make_policy(name, SCHEMA, **options).double(), graph, "vectors")[0]
-            for _ in range(5)
-        )
+        norms = sum(jacobian_norms(make_policy(name, SCHEMA, **options).double(), graph, "vectors")[0] for _ in range(5))
         ratios[name] = float(norms[4] / norms[0])
     assert ratios["empn"] < 0.1
     assert ratios["grpd"] > 0.3

@@ -11,9 +11,7 @@ NODES, TOOLS, NEAREST = 12, 3, 4
 
 def find(graph, num_nearest=NEAREST):
     nodes = MergedNodes(SCHEMA)(graph)
-    return LocalNeighborhood.find(
-        nodes["position"], nodes["mask"], graph["object"]["neighbors"], num_nearest
-    )
+    return LocalNeighborhood.find(nodes["position"], nodes["mask"], graph["object"]["neighbors"], num_nearest)
 
 
 def test_edges_are_those_of_a_search_by_hand():

@@ -56,9 +56,7 @@ def test_config_rebuilds_the_policy(name):
     rebuilt.load_state_dict(policy.state_dict())
     assert rebuilt.config == policy.config
     assert isinstance(rebuilt.schema, GraphSchema)
-    assert torch.equal(
-        rebuilt.act(graph, deterministic=True), policy.act(graph, deterministic=True)
-    )
+    assert torch.equal(rebuilt.act(graph, deterministic=True), policy.act(graph, deterministic=True))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -88,9 +86,7 @@ def test_methods_agree_with_the_shared_pass(name):
 def test_act_samples_float32_from_the_generator(name):
     policy = make_policy(name, SCHEMA).double()
     graph = make_graph(dtype=torch.float64)
-    first, second = (
-        policy.act(graph, generator=torch.Generator().manual_seed(1)) for _ in range(2)
-    )
+    first, second = (policy.act(graph, generator=torch.Generator().manual_seed(1)) for _ in range(2))
     assert first.shape == (4, 9)
     assert first.dtype == torch.float32
     assert not first.requires_grad
@@ -103,10 +99,7 @@ def test_act_samples_float32_from_the_generator(name):
         *((name, {"gripper": True}) for name in NAMES),
         *((name, {"decoders": "independent", "num_decoders": 3}) for name in NAMES),
         ("grpd", {"num_layers": 2, "max_degree": 2, "num_local_radial": 2}),
-        (
-            "grpd",
-            {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"},
-        ),
+        ("grpd", {"state_dependent_std": False, "value_encoder": "separate", "magnitude": "relu"}),
         ("grpd", {"decoder": "naive", "max_local_degree": 2, "normalize_vectors": True}),
         ("empn", {"max_degree": 2, "normalize_vectors": True}),
     ],
@@ -120,9 +113,7 @@ def test_gradient_reaches_all_parameters(name, options):
     loss = distribution.log_prob(action).sum() + value.square().sum()
     loss.backward()
     silent = [
-        name
-        for name, parameter in policy.named_parameters()
-        if parameter.grad is None or not parameter.grad.abs().sum() > 0
+        name for name, parameter in policy.named_parameters() if parameter.grad is None or not parameter.grad.abs().sum() > 0
     ]
     assert not silent
 
@@ -135,9 +126,7 @@ def test_untrained_policy_moves_gently_and_explores_as_told(state_dependent):
     distribution = policy.distribution(graph)
     magnitude = distribution.mean.detach().norm(dim=-1)
     assert 0.05 < float(magnitude.mean()) < 0.2
-    torch.testing.assert_close(
-        distribution.std, torch.full_like(distribution.std, 0.3), rtol=0.05, atol=0
-    )
+    torch.testing.assert_close(distribution.std, torch.full_like(distribution.std, 0.3), rtol=0.05, atol=0)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -231,9 +220,7 @@ def test_wrong_graph_is_refused_by_name(name):
     policy = make_policy(name, SCHEMA)
     graph = make_graph()
     graph["object"]["scalars"] = graph["object"]["scalars"][..., :2]
-    with pytest.raises(
-        ValueError, match=r"object.scalars must have shape \(4, 12, 4\), got \(4, 12, 2\)"
-    ):
+    with pytest.raises(ValueError, match=r"object.scalars must have shape \(4, 12, 4\), got \(4, 12, 2\)"):
         policy.value(graph)
 
 

@@ -27,12 +27,7 @@ def pad(nodes, count, rng):
         neighbors = nodes["neighbors"]
         moved = torch.where(neighbors >= 0, place[neighbors], neighbors)
         # Padding points anywhere, and true nodes have one more column without a neighbour.
-        full = torch.randint(
-            -1,
-            true_count + count,
-            (batch, true_count + count, neighbors.shape[2] + 1),
-            generator=rng,
-        )
+        full = torch.randint(-1, true_count + count, (batch, true_count + count, neighbors.shape[2] + 1), generator=rng)
         full[:, place] = torch.cat([moved, -torch.ones_like(moved[..., :1])], dim=-1)
         padded["neighbors"] = full
     return padded, place
@@ -40,9 +35,7 @@ def pad(nodes, count, rng):
 
 @pytest.mark.parametrize("name", NAMES)
 @given(SEEDS, st.integers(0, 4), st.integers(0, 3), st.sampled_from([3, 8, 12]))
-def test_padding_nodes_and_actuators_changes_nothing(
-    name, seed, extra_nodes, extra_actuators, nodes
-):
+def test_padding_nodes_and_actuators_changes_nothing(name, seed, extra_nodes, extra_actuators, nodes):
     """Distribution of the true actuators and value stay, whatever stands in the padding."""
     torch.manual_seed(seed)
     policy = make_policy(name, SCHEMA, gripper=True).double()
@@ -58,9 +51,7 @@ def test_padding_nodes_and_actuators_changes_nothing(
     torch.testing.assert_close(padded_distribution.mean[:, place], distribution.mean)
     torch.testing.assert_close(padded_distribution.std[:, place], distribution.std)
     action = torch.rand(4, 3 + extra_actuators, 4, dtype=torch.float64).round()
-    torch.testing.assert_close(
-        padded_distribution.log_prob(action), distribution.log_prob(action[:, place])
-    )
+    torch.testing.assert_close(padded_distribution.log_prob(action), distribution.log_prob(action[:, place]))
     torch.testing.assert_close(padded_distribution.entropy(), distribution.entropy())
 
 
@@ -99,9 +90,7 @@ def test_graphs_of_a_batch_do_not_mix(name):
     whole = policy.distribution(graph).mean
     for i in range(3):
         alone = {
-            key: value[i : i + 1]
-            if key == "gravity"
-            else {k: v[i : i + 1] for k, v in value.items()}
+            key: value[i : i + 1] if key == "gravity" else {k: v[i : i + 1] for k, v in value.items()}
             for key, value in graph.items()
         }
         torch.testing.assert_close(policy.distribution(alone).mean, whole[i : i + 1])

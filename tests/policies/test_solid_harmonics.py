@@ -39,9 +39,7 @@ def test_square_sum_of_a_degree_is_constant_on_the_sphere():
     points, _ = sphere_quadrature()
     values = harmonics_of(points).square()
     for degree, entries in DEGREES.items():
-        torch.testing.assert_close(
-            values[:, entries].sum(-1), torch.full((50,), 2.0 * degree + 1, dtype=torch.float64)
-        )
+        torch.testing.assert_close(values[:, entries].sum(-1), torch.full((50,), 2.0 * degree + 1, dtype=torch.float64))
 
 
 @given(QUATERNIONS)

@@ -6,13 +6,7 @@ import pytest
 import torch
 from random_graphs import rotation_from_quaternion
 
-from maniskill_grpd.policies.layers import (
-    CompleteEdges,
-    EdgeGeometry,
-    EquivariantUpdate,
-    NeighborEdges,
-    SteerableConv,
-)
+from maniskill_grpd.policies.layers import CompleteEdges, EdgeGeometry, EquivariantUpdate, NeighborEdges, SteerableConv
 
 BATCH, SENDERS, RECEIVERS, SCALARS, VECTORS = 2, 6, 3, 5, 4
 CUTOFF, SOFTENING = 0.5, 0.1
@@ -59,9 +53,7 @@ def message_by_message(conv, geometry, scalars, vectors, senders, receivers, wei
                 total_s[1] += weight * 3**0.5 * (u @ v)
                 total_v[0] += weight * 3**0.5 * torch.outer(u, conv.mix(scalars[b, s]))
                 total_v[1] += weight * v
-                total_v[2] += (
-                    weight * 3**0.5 * torch.linalg.cross(u[:, None].expand_as(v), v, dim=0)
-                )
+                total_v[2] += weight * 3**0.5 * torch.linalg.cross(u[:, None].expand_as(v), v, dim=0)
                 if conv.max_degree == 2:
                     traceless = torch.outer(u, u) - (u @ u) / 3 * torch.eye(3).double()
                     total_v[3] += weight * 15**0.5 * traceless @ v
@@ -147,9 +139,7 @@ def test_receivers_apart_from_senders_hear_the_same(form):
     scalars, vectors = conv(*features, connect(position, mask, neighbors))
     chosen = torch.tensor([4, 1])
     envelope = torch.ones(BATCH, 2, 3, dtype=torch.float64)
-    edges = connect(
-        position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
-    )
+    edges = connect(position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope)
     some_scalars, some_vectors = conv(*features, edges)
     torch.testing.assert_close(some_scalars, scalars[:, chosen])
     torch.testing.assert_close(some_vectors, vectors[:, :, chosen])
@@ -157,9 +147,7 @@ def test_receivers_apart_from_senders_hear_the_same(form):
     alone = neighbors.clone()
     alone[:, :, 1:] = -1
     # The floor of the normalisation counts at least one edge: a weight of zero is no edge.
-    edges = connect(
-        position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope
-    )
+    edges = connect(position, mask, neighbors[:, chosen], receivers=position[:, :, chosen], envelope=envelope)
     faded = conv(*features, edges)
     pruned = conv(*features, connect(position, mask, alone))
     torch.testing.assert_close(faded[0], pruned[0][:, chosen])
@@ -231,9 +219,7 @@ def test_moments_do_not_depend_on_resolution():
         scalars = torch.stack([t, t.cos()], dim=-1)[None]
         vectors = torch.stack([position, position.square()], dim=-1)
         mask = torch.ones(1, count, dtype=torch.bool)
-        return conv(
-            scalars, vectors, geometry.complete(position, mask, torch.zeros(3, 1, 1).double())
-        )
+        return conv(scalars, vectors, geometry.complete(position, mask, torch.zeros(3, 1, 1).double()))
 
     # Midpoint sampling: the error falls with the square of the spacing.
     for coarse, fine in zip(sample(40), sample(160), strict=True):

@@ -62,9 +62,12 @@ def fills(values, low, high):
     """Whether 500 uniform draws keep to their range and fill it; their mean is 4 sigma off at most."""
     span = high - low
     inside = bool((values >= low - 1e-3 * span).all() and (values <= high + 1e-3 * span).all())
-    return inside and values.min() < low + 0.03 * span and values.max() > high - 0.03 * span and (
-        abs(values.mean() - 0.5 * (low + high)) < 0.055 * span
-    )  # fmt: skip
+    return (
+        inside
+        and values.min() < low + 0.03 * span
+        and values.max() > high - 0.03 * span
+        and (abs(values.mean() - 0.5 * (low + high)) < 0.055 * span)
+    )
 
 
 # ---------------------------------------------------------------- starts

@@ -51,10 +51,7 @@ def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
     base.graph_schema.validate(graph, values=True)
     vectors = [channel.name for channel in base.graph_schema.object.vectors]
     scalars = [channel.name for channel in base.graph_schema.object.scalars]
-    assert (vectors, scalars) == (
-        ["velocity", "goal_offset"],
-        ["goal_distance", "arc", "held", "contact"],
-    )
+    assert (vectors, scalars) == (["velocity", "goal_offset"], ["goal_distance", "arc", "held", "contact"])
     nodes, grippers = graph["object"], graph["actuator"]
     offsets = base.goal_positions - solver.positions
     assert torch.equal(nodes["position"], solver.positions)
@@ -98,11 +95,7 @@ def test_graph_nodes_thins_what_the_policy_sees_but_not_the_simulation(make_env,
 def test_observations_infos_and_states_are_copies(make_env, draw_actions, obs_mode):
     env = make_env(obs_mode=obs_mode)
     obs, info = env.reset(seed=0)
-    kept = {
-        "obs": obs,
-        "info": {k: v for k, v in info.items() if k != "reconfigure"},
-        "state": env.unwrapped.get_state_dict(),
-    }
+    kept = {"obs": obs, "info": {k: v for k, v in info.items() if k != "reconfigure"}, "state": env.unwrapped.get_state_dict()}
     before = {path: value.clone() for path, value in leaves(kept)}
     run(env, draw_actions(2, 3))
     env.reset(seed=5)
@@ -217,11 +210,7 @@ def test_a_single_world_accepts_an_unbatched_state(make_env, draw_actions, flat)
     run(env, draw_actions(2, 1))
     state = base.get_state() if flat else base.get_state_dict()
     env.reset(seed=3)
-    row = (
-        state[0].numpy()
-        if flat
-        else common.to_numpy(common.index_dict_array(state, 0, inplace=False))
-    )
+    row = state[0].numpy() if flat else common.to_numpy(common.index_dict_array(state, 0, inplace=False))
     (base.set_state if flat else base.set_state_dict)(row)
     restored = base.get_state() if flat else base.get_state_dict()
     assert torch.equal(restored, state) if flat else assert_equal(restored, state) is None
@@ -283,9 +272,7 @@ def test_bad_actions_are_refused_and_change_nothing(make_env, num_envs, as_numpy
         (np.zeros((num_envs + 1, 12)), "must have shape"),
     ):
         with pytest.raises(ValueError, match=message):
-            env.step(
-                bad.astype(np.float32) if as_numpy else torch.as_tensor(bad, dtype=torch.float32)
-            )
+            env.step(bad.astype(np.float32) if as_numpy else torch.as_tensor(bad, dtype=torch.float32))
     if num_envs == 1:
         with pytest.raises(ValueError, match="must be finite"):
             env.step(np.full(12, np.nan, dtype=np.float32))
@@ -303,10 +290,7 @@ def test_no_action_holds_the_grippers_still(make_env):
     ("options", "message"),
     [
         ({"obs_mode": "grahp"}, "unknown observation mode"),
-        (
-            {"pose_range": "third"},
-            r"pose_range must be one of \['full', 'half', 'quarter'\], got 'third'",
-        ),
+        ({"pose_range": "third"}, r"pose_range must be one of \['full', 'half', 'quarter'\], got 'third'"),
         ({"graph_nodes": 3}, r"graph_nodes must be in \[4, 41\]"),
         ({"graph_nodes": 42}, r"graph_nodes must be in \[4, 41\]"),
         ({"sim_backend": "tpu"}, "unknown sim_backend 'tpu'"),

@@ -45,7 +45,5 @@ def test_w_has_four_equal_strokes_at_55_degrees_from_its_base_line():
 
 
 def test_unknown_shape_is_refused_with_the_allowed_ones():
-    with pytest.raises(
-        ValueError, match="unknown goal shape 'X'; allowed are W, V, U, S, L, O, spiral"
-    ):
+    with pytest.raises(ValueError, match="unknown goal shape 'X'; allowed are W, V, U, S, L, O, spiral"):
         goal_curve("X", LENGTH, 41)

@@ -9,11 +9,7 @@ from maniskill_grpd.tasks.options.gripper_teams import choose_team, gripper_team
 
 
 def test_teams_are_all_ways_to_share_the_grippers():
-    assert gripper_teams([1, 2]) == (
-        "floating_grippers_1",
-        "floating_grippers_2",
-        ("floating_grippers_1", "floating_grippers_1"),
-    )
+    assert gripper_teams([1, 2]) == ("floating_grippers_1", "floating_grippers_2", ("floating_grippers_1", "floating_grippers_1"))
     # 2^(A-1) ordered ways to write A as a sum
     assert len(gripper_teams([4])) == 8
 

@@ -38,12 +38,7 @@ def test_modes_that_stand_alone_cannot_be_joined():
 
 
 def test_modes_with_images_need_a_camera():
-    assert [needs_camera(mode) for mode in ("none", "state", "state_dict+rgb", "pointcloud")] == [
-        False,
-        False,
-        True,
-        True,
-    ]
+    assert [needs_camera(mode) for mode in ("none", "state", "state_dict+rgb", "pointcloud")] == [False, False, True, True]
 
 
 def test_compute_devices():

@@ -154,9 +154,7 @@ def test_cloth_has_a_front_and_a_back(pictures):
 def test_what_is_nearer_hides_what_is_further(pictures):
     bare = {"goal": None, "lines": (), "grippers": np.zeros((0, 3)), "closed": np.zeros(0, bool), "has_table": False}
     below, above = (cloth_drawing(object=grid_sheet((0.0, 0.0, z)), solids=(post(),), **bare) for z in (0.003, 0.25))
-    is_grey = [
-        np.abs(pictures(drawing).numpy().astype(int) - (110, 120, 130)).max(axis=-1) < 50 for drawing in (below, above)
-    ]
+    is_grey = [np.abs(pictures(drawing).numpy().astype(int) - (110, 120, 130)).max(axis=-1) < 50 for drawing in (below, above)]
     assert is_grey[0].sum() > 400
     assert is_grey[1].sum() == 0
 
@@ -203,9 +201,7 @@ def test_what_is_lifted_throws_its_shadow_beside_itself(pictures):
 
 
 def test_size_of_the_picture_can_be_chosen(make_env):
-    env = make_env(
-        1, render_mode="rgb_array", human_render_camera_configs={"width": 160, "height": 128}
-    )
+    env = make_env(1, render_mode="rgb_array", human_render_camera_configs={"width": 160, "height": 128})
     assert env.render().shape == (1, 128, 160, 3)
 
 
@@ -240,16 +236,12 @@ def test_rgb_array_works_without_a_renderer(make_env, requested):
     + [{"render_mode": mode} for mode in ("human", "sensors", "all")],
 )
 def test_what_needs_a_renderer_says_how_to_get_one(make_env, options):
-    with pytest.raises(
-        ValueError, match="needs a renderer.*Vulkan.*apt-get install mesa-vulkan-drivers"
-    ):
+    with pytest.raises(ValueError, match="needs a renderer.*Vulkan.*apt-get install mesa-vulkan-drivers"):
         make_env(1, render_backend="auto", **options)
 
 
 def test_probe_survives_a_crashing_driver_and_remembers(monkeypatch):
-    monkeypatch.setattr(
-        render_device, "_PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
-    )
+    monkeypatch.setattr(render_device, "_PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
     assert not render_device.can_draw("a device that crashes")
     monkeypatch.setattr(render_device, "_PROBE", "raise SystemExit(0)")
     assert not render_device.can_draw("a device that crashes")
@@ -264,9 +256,7 @@ def test_probe_gives_up_on_a_driver_that_hangs(monkeypatch):
 
 def test_render_backends_are_tried_in_order(monkeypatch):
     tried = []
-    monkeypatch.setattr(
-        render_device, "can_draw", lambda device: tried.append(device) or device == "cpu"
-    )
+    monkeypatch.setattr(render_device, "can_draw", lambda device: tried.append(device) or device == "cpu")
     assert choose_render_device("auto", "rgb_array", "none") == "cpu"
     assert tried == ["cuda", "cpu"]
     assert choose_render_device("sapien_cpu", None, "rgb") == "cpu"
@@ -295,10 +285,7 @@ def test_sapien_pictures_show_rope_goal_and_success(make_env, renderer):
 
 
 def test_both_painters_agree(make_env, renderer):
-    images = [
-        make_env(1, render_mode="rgb_array", render_backend=backend).render()[0]
-        for backend in (renderer, "none")
-    ]
+    images = [make_env(1, render_mode="rgb_array", render_backend=backend).render()[0] for backend in (renderer, "none")]
     centres = [np.argwhere(colors(image)["rope"]).mean(axis=0) for image in images]
     np.testing.assert_allclose(centres[0], centres[1], atol=4)
 

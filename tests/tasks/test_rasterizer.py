@@ -74,9 +74,7 @@ def test_colors_run_evenly_between_corners(canvas):
 
 def test_only_the_foremost_layer_of_a_glaze_counts(canvas):
     doubled = np.concatenate([SQUARE, SQUARE])
-    canvas.glaze(
-        doubled, np.repeat([[1.0], [1.0], [2.0], [2.0]], 3, axis=1), np.broadcast_to(GREEN, (4, 3, 3)), alpha=0.5
-    )
+    canvas.glaze(doubled, np.repeat([[1.0], [1.0], [2.0], [2.0]], 3, axis=1), np.broadcast_to(GREEN, (4, 3, 3)), alpha=0.5)
     np.testing.assert_allclose(canvas.colors[5, 5], 0.5 * GREEN)
     assert canvas.nearness[5, 5] == 0.0
 

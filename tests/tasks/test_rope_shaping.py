@@ -65,16 +65,13 @@ def test_resting_rope_stays_where_it_is(make_env):
 
 
 @pytest.mark.parametrize(
-    ("num_grippers", "nodes"),
-    [(2, [0, 40]), (3, [0, 20, 40]), (4, [0, 10, 30, 40]), (None, [0, 10, 30, 40])],
+    ("num_grippers", "nodes"), [(2, [0, 40]), (3, [0, 20, 40]), (4, [0, 10, 30, 40]), (None, [0, 10, 30, 40])]
 )
 def test_grippers_hold_the_rope_at_their_arc_fractions(make_env, num_grippers, nodes):
     env = make_env(2, num_grippers=num_grippers)
     base = env.unwrapped
     assert base.agent.uid == f"floating_grippers_{len(nodes)}"
-    held = [
-        (base.solver.holder[0] == gripper).nonzero()[:, 0].tolist() for gripper in range(len(nodes))
-    ]
+    held = [(base.solver.holder[0] == gripper).nonzero()[:, 0].tolist() for gripper in range(len(nodes))]
     assert held == [[node] for node in nodes]
     assert torch.equal(base.solver.gripper_positions, base.solver.positions[:, nodes])
     assert env.action_space.shape == (2, 3 * len(nodes))
@@ -108,12 +105,8 @@ def test_success_needs_a_small_mean_and_no_far_node(make_env):
     info = base.evaluate()
     assert set(info) == {"success", "fail", "mean_distance", "max_distance"}
     assert info["success"].tolist() == [True, False, True, False]
-    torch.testing.assert_close(
-        info["max_distance"][2:], torch.tensor([0.0799, 0.0801]), atol=1e-6, rtol=0
-    )
-    torch.testing.assert_close(
-        info["mean_distance"], offsets.norm(dim=-1).mean(dim=1), atol=1e-6, rtol=0
-    )
+    torch.testing.assert_close(info["max_distance"][2:], torch.tensor([0.0799, 0.0801]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(info["mean_distance"], offsets.norm(dim=-1).mean(dim=1), atol=1e-6, rtol=0)
 
 
 def test_reward_is_one_at_the_goal_bounded_and_falls_with_distance(make_env):
@@ -168,28 +161,18 @@ def test_rewards_success_and_graph_do_not_depend_on_the_frame(near_goal_env):
     @hypothesis_settings(max_examples=15)
     def check(seed):
         base.set_state_dict(state)
-        rotation = torch.as_tensor(
-            Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32
-        )
+        rotation = torch.as_tensor(Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32)
         translation = torch.randn(3, generator=torch.Generator().manual_seed(seed))
         base.move_worlds(rotation, translation)
         moved, moved_info = base.get_obs()["graph"], base.get_info()
-        torch.testing.assert_close(
-            base.get_reward(None, None, moved_info), reward, atol=1e-5, rtol=0
-        )
+        torch.testing.assert_close(base.get_reward(None, None, moved_info), reward, atol=1e-5, rtol=0)
         assert torch.equal(moved_info["success"], info["success"])
         for kind in ("object", "actuator"):
             there, here = moved[kind], graph[kind]
             torch.testing.assert_close(there["scalars"], here["scalars"], atol=2e-6, rtol=0)
-            torch.testing.assert_close(
-                there["vectors"], here["vectors"] @ rotation.T, atol=5e-6, rtol=0
-            )
-            torch.testing.assert_close(
-                there["position"], here["position"] @ rotation.T + translation, atol=2e-6, rtol=0
-            )
-        torch.testing.assert_close(
-            moved["gravity"], graph["gravity"] @ rotation.T, atol=1e-5, rtol=0
-        )
+            torch.testing.assert_close(there["vectors"], here["vectors"] @ rotation.T, atol=5e-6, rtol=0)
+            torch.testing.assert_close(there["position"], here["position"] @ rotation.T + translation, atol=2e-6, rtol=0)
+        torch.testing.assert_close(moved["gravity"], graph["gravity"] @ rotation.T, atol=1e-5, rtol=0)
 
     check()
 
@@ -234,13 +217,7 @@ def test_grippers_stop_at_the_table(make_env):
 
 
 def test_task_card_has_the_headings_that_the_documentation_generator_expects():
-    headings = [
-        "Task Description",
-        "Randomizations",
-        "Success Conditions",
-        "Fail Conditions",
-        "Goal Specification",
-    ]
+    headings = ["Task Description", "Randomizations", "Success Conditions", "Fail Conditions", "Goal Specification"]
     places = [RopeShapingEnv.__doc__.index(f"**{heading}:**") for heading in headings]
     assert places == sorted(places)
     assert f"at most {RopeShapingEnv.MEAN_DISTANCE_LIMIT} m" in RopeShapingEnv.__doc__

@@ -11,17 +11,11 @@ TEMPLATE = {"solver": {"x": torch.zeros(3, 4), "y": torch.zeros(3, 1)}, "goal": 
 
 
 def make_state(num_rows):
-    return {
-        "solver": {"x": torch.rand(num_rows, 4), "y": torch.rand(num_rows, 1)},
-        "goal": torch.rand(num_rows, 2),
-    }
+    return {"solver": {"x": torch.rand(num_rows, 4), "y": torch.rand(num_rows, 1)}, "goal": torch.rand(num_rows, 2)}
 
 
 def assert_equal(state, other):
-    assert torch.equal(
-        common.flatten_state_dict(state, use_torch=True),
-        common.flatten_state_dict(other, use_torch=True),
-    )
+    assert torch.equal(common.flatten_state_dict(state, use_torch=True), common.flatten_state_dict(other, use_torch=True))
 
 
 @pytest.mark.parametrize("num_rows", [1, 2, 3])
@@ -34,10 +28,7 @@ def test_flat_vectors_are_the_inverse_of_flattening(num_rows):
 
 def test_dictionaries_may_be_numpy_unbatched_and_in_any_order():
     state = make_state(1)
-    given = {
-        "goal": state["goal"][0].numpy(),
-        "solver": {"y": state["solver"]["y"][0], "x": state["solver"]["x"]},
-    }
+    given = {"goal": state["goal"][0].numpy(), "solver": {"y": state["solver"]["y"][0], "x": state["solver"]["x"]}}
     assert_equal(read_rows(given, TEMPLATE, 1), state)
 
 

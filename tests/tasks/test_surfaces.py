@@ -147,9 +147,7 @@ def test_edges_of_solids_are_sharp_and_round_sides_smooth():
     tin = trimesh.creation.cylinder(radius=1.0, height=2.0, sections=48)
     surface = solid_surface(Solid(tin.vertices, tin.faces))
     on_side = np.abs(surface.normals[:, 2]) < 0.5
-    np.testing.assert_allclose(
-        (surface.normals * surface.vertices)[on_side][:, :2].sum(axis=1), 1.0, atol=1e-3
-    )
+    np.testing.assert_allclose((surface.normals * surface.vertices)[on_side][:, :2].sum(axis=1), 1.0, atol=1e-3)
 
 
 # ---------------------------------------------------------------- grippers, marks, shadows

@@ -62,9 +62,7 @@ def test_vector_env_resets_worlds_that_succeed_and_lets_the_others_go_on(make_en
 
 
 def test_vector_env_can_ignore_success(make_env):
-    env = ManiSkillVectorEnv(
-        make_env(max_episode_steps=2), ignore_terminations=True, record_metrics=True
-    )
+    env = ManiSkillVectorEnv(make_env(max_episode_steps=2), ignore_terminations=True, record_metrics=True)
     env.reset(seed=0)
     put_at_goal(env.unwrapped, [1])
     env.step(torch.zeros(3, 12))
@@ -111,12 +109,7 @@ def test_cpu_gym_wrapper_speaks_plain_gymnasium(make_env, obs_mode):
 
 def test_gymnasium_vectorises_plain_environments():
     env = gym.make_vec(
-        "RopeShaping-v1",
-        num_envs=2,
-        vectorization_mode="sync",
-        wrappers=[CPUGymWrapper],
-        sim_backend="cpu",
-        obs_mode="state",
+        "RopeShaping-v1", num_envs=2, vectorization_mode="sync", wrappers=[CPUGymWrapper], sim_backend="cpu", obs_mode="state"
     )
     obs, _ = env.reset(seed=[4, 5])
     assert obs.shape[0] == 2
@@ -129,9 +122,7 @@ def test_gymnasium_vectorises_plain_environments():
 
 def record(env, folder, actions, seed):
     """Record one episode per world, with a video, and return the rewards (T, B)."""
-    env = RecordEpisode(
-        env, folder, trajectory_name="trajectory", max_steps_per_video=len(actions), video_fps=20
-    )
+    env = RecordEpisode(env, folder, trajectory_name="trajectory", max_steps_per_video=len(actions), video_fps=20)
     env.reset(seed=seed)
     rewards = torch.stack([env.step(action)[1] for action in actions])
     env.reset()
@@ -140,9 +131,7 @@ def record(env, folder, actions, seed):
 
 
 @pytest.mark.parametrize("num_envs", [1, 4])
-def test_episodes_are_recorded_and_their_actions_replay_exactly(
-    make_env, draw_actions, tmp_path, num_envs
-):
+def test_episodes_are_recorded_and_their_actions_replay_exactly(make_env, draw_actions, tmp_path, num_envs):
     actions, seeds = draw_actions(4, num_envs), list(range(20, 20 + num_envs))
     rewards = record(make_env(num_envs, render_mode="rgb_array"), tmp_path, actions, seeds)
     videos = sorted(tmp_path.glob("*.mp4"))
@@ -182,8 +171,7 @@ def check_replay(env, trajectory, seed, rewards):
                     np.testing.assert_array_equal(value[0], states[step + 1][group][name])
     env.unwrapped.set_state_dict(states[2])
     np.testing.assert_array_equal(
-        env.unwrapped.get_obs()["graph"]["object"]["position"][0],
-        trajectory["obs/graph/object/position"][2],
+        env.unwrapped.get_obs()["graph"]["object"]["position"][0], trajectory["obs/graph/object/position"][2]
     )
 
 
@@ -198,19 +186,13 @@ def test_recording_survives_partial_resets(make_env, draw_actions, tmp_path):
     env.reset()
     env.close()
     data = json.loads((tmp_path / "trajectory.json").read_text())
-    steps = sorted(
-        (episode["elapsed_steps"], bool(episode["success"])) for episode in data["episodes"]
-    )
+    steps = sorted((episode["elapsed_steps"], bool(episode["success"])) for episode in data["episodes"])
     assert steps == [(2, False), (2, True), (4, False), (4, False)]
 
 
 def test_info_is_written_on_videos(make_env, draw_actions, tmp_path):
     env = RecordEpisode(
-        make_env(2, render_mode="rgb_array"),
-        tmp_path,
-        save_trajectory=False,
-        info_on_video=True,
-        max_steps_per_video=2,
+        make_env(2, render_mode="rgb_array"), tmp_path, save_trajectory=False, info_on_video=True, max_steps_per_video=2
     )
     env.reset(seed=0)
     for action in draw_actions(2, 2):

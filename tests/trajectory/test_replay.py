@@ -41,9 +41,7 @@ def test_episodes_are_replayed_side_by_side_in_another_mode(recorded, flags):
             np.testing.assert_array_equal(new["actions"], old["actions"])
             if not flags:
                 np.testing.assert_array_equal(new["rewards"], old["rewards"])
-                np.testing.assert_array_equal(
-                    new["env_states/solver/positions"], old["env_states/solver/positions"]
-                )
+                np.testing.assert_array_equal(new["env_states/solver/positions"], old["env_states/solver/positions"])
 
 
 def test_missing_files_are_named(tmp_path, recorded):

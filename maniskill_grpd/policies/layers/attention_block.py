@@ -50,7 +50,5 @@ class AttentionBlock(nn.Module):
     def _attend(self, features: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         heads = self.query_key_value(features).unflatten(-1, (3, self.num_heads, -1))
         query, key, value = heads.permute(2, 0, 3, 1, 4).unbind(0)  # (B, heads, n, C / heads)
-        mixed = nn.functional.scaled_dot_product_attention(
-            query, key, value, attn_mask=mask[:, None, None]
-        )
+        mixed = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=mask[:, None, None])
         return self.attention_output(mixed.transpose(1, 2).flatten(2))

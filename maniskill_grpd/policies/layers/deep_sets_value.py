@@ -26,9 +26,7 @@ class DeepSetsValue(nn.Module):
         outer_dim: Width of MLP_out, which runs once per graph.
     """
 
-    def __init__(
-        self, node_dims: Sequence[tuple[int, int]], inner_dim: int, outer_dim: int
-    ) -> None:
+    def __init__(self, node_dims: Sequence[tuple[int, int]], inner_dim: int, outer_dim: int) -> None:
         super().__init__()
         self.inner = nn.ModuleList(nn.Linear(c + d, inner_dim) for c, d in node_dims)
         self.outer = nn.Sequential(
@@ -42,9 +40,7 @@ class DeepSetsValue(nn.Module):
         nn.init.orthogonal_(self.outer[-1].weight, 0.1)
         nn.init.zeros_(self.outer[-1].bias)
 
-    def forward(
-        self, nodes: Sequence[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]
-    ) -> torch.Tensor:
+    def forward(self, nodes: Sequence[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]) -> torch.Tensor:
         """Value of each graph.
 
         Args:

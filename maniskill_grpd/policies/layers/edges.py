@@ -30,9 +30,7 @@ class CompleteEdges:
     weights: torch.Tensor
     num_radial: int
 
-    def moments(
-        self, features: torch.Tensor, min_degree: int, max_degree: int
-    ) -> tuple[torch.Tensor, ...]:
+    def moments(self, features: torch.Tensor, min_degree: int, max_degree: int) -> tuple[torch.Tensor, ...]:
         """Sum the features of the senders, weighted by the kernel factors, as one matrix product.
 
         Args:
@@ -176,9 +174,7 @@ class EdgeGeometry(nn.Module):
             valid = valid * envelope
         matrix = valid.new_zeros(*neighbors.shape[:2], position.shape[2])
         matrix = matrix.scatter_add(2, neighbors.clamp(min=0), valid)
-        return self.complete(
-            position, mask, position if receivers is None else receivers, envelope=matrix
-        )
+        return self.complete(position, mask, position if receivers is None else receivers, envelope=matrix)
 
     def neighbor_lists(
         self,

@@ -44,13 +44,7 @@ class EquivariantUpdate(nn.Module):
         normalize_vectors: Whether V' is normalised.
     """
 
-    def __init__(
-        self,
-        scalar_dim: int,
-        vector_dim: int,
-        message_dim: int,
-        normalize_vectors: bool = False,
-    ) -> None:
+    def __init__(self, scalar_dim: int, vector_dim: int, message_dim: int, normalize_vectors: bool = False) -> None:
         super().__init__()
         self.scalar_dim = scalar_dim
         self.mix = nn.Linear(vector_dim, vector_dim, bias=False)
@@ -60,11 +54,7 @@ class EquivariantUpdate(nn.Module):
         self.vector_norm = VectorNorm(vector_dim) if normalize_vectors else None
 
     def forward(
-        self,
-        scalars: torch.Tensor,
-        vectors: torch.Tensor,
-        scalar_messages: torch.Tensor,
-        vector_messages: torch.Tensor,
+        self, scalars: torch.Tensor, vectors: torch.Tensor, scalar_messages: torch.Tensor, vector_messages: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """New h, V of nodes from their h, V and messages m_s, m_V."""
         mixed = self.mix(vectors) + vector_messages

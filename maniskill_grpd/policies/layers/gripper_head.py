@@ -23,9 +23,7 @@ class GripperHead(nn.Module):
 
     def __init__(self, scalar_dim: int, vector_dim: int) -> None:
         super().__init__()
-        self.network = nn.Sequential(
-            nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, 1)
-        )
+        self.network = nn.Sequential(nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, 1))
         nn.init.orthogonal_(self.network[-1].weight, 0.01)
         nn.init.zeros_(self.network[-1].bias)
 

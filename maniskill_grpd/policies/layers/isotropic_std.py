@@ -31,9 +31,7 @@ class IsotropicStd(nn.Module):
         state_dependent: False: one learned number for all states and actuators.
     """
 
-    def __init__(
-        self, scalar_dim: int, vector_dim: int, init_std: float, state_dependent: bool
-    ) -> None:
+    def __init__(self, scalar_dim: int, vector_dim: int, init_std: float, state_dependent: bool) -> None:
         super().__init__()
         if not _MIN_STD < init_std < _MAX_STD:
             raise ValueError(f"init_std must be inside ({_MIN_STD}, {_MAX_STD}), got {init_std}")
@@ -41,9 +39,7 @@ class IsotropicStd(nn.Module):
         bias = math.log(share / (1.0 - share))
         self.network: nn.Sequential | None = None
         if state_dependent:
-            self.network = nn.Sequential(
-                nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, 1)
-            )
+            self.network = nn.Sequential(nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, 1))
             nn.init.orthogonal_(self.network[-1].weight, 0.01)
             nn.init.constant_(self.network[-1].bias, bias)
         else:

@@ -41,13 +41,7 @@ class LocalNeighborhood:
     actuator_envelope: torch.Tensor
 
     @classmethod
-    def find(
-        cls,
-        position: torch.Tensor,
-        mask: torch.Tensor,
-        neighbors: torch.Tensor,
-        num_nearest: int,
-    ) -> LocalNeighborhood:
+    def find(cls, position: torch.Tensor, mask: torch.Tensor, neighbors: torch.Tensor, num_nearest: int) -> LocalNeighborhood:
         """Find all edges.
 
         Args:
@@ -71,15 +65,11 @@ class LocalNeighborhood:
             objects=torch.cat([neighbors, count + best.transpose(1, 2)], dim=-1),
             object_envelope=torch.cat([torch.ones_like(neighbors, dtype=own.dtype), own], dim=-1),
             actuators=torch.cat([nearest, others], dim=-1),
-            actuator_envelope=torch.cat(
-                [near.gather(2, nearest), torch.ones_like(others, dtype=near.dtype)], dim=-1
-            ),
+            actuator_envelope=torch.cat([near.gather(2, nearest), torch.ones_like(others, dtype=near.dtype)], dim=-1),
         )
 
 
-def _nearest(
-    squared: torch.Tensor, mask: torch.Tensor, num: int
-) -> tuple[torch.Tensor, torch.Tensor]:
+def _nearest(squared: torch.Tensor, mask: torch.Tensor, num: int) -> tuple[torch.Tensor, torch.Tensor]:
     """The num nearest nodes of each actuator, (B, A, num), and its squared reach, (B, A, 1)."""
     visible = squared.masked_fill(~mask, _FAR)
     if squared.shape[-1] <= num:

@@ -29,9 +29,7 @@ class MergedNodes:
     """
 
     def __init__(self, schema: GraphSchema) -> None:
-        self._sources = {
-            kind: _sources(schema.object, schema.actuator, kind) for kind in ("vectors", "scalars")
-        }
+        self._sources = {kind: _sources(schema.object, schema.actuator, kind) for kind in ("vectors", "scalars")}
         self.num_vectors = len(self._sources["vectors"]["object"])
         self.num_scalars = len(self._sources["scalars"]["object"]) + len(NODE_TYPES)
 
@@ -60,7 +58,4 @@ def _sources(objects: NodeSchema, actuators: NodeSchema, kind: str) -> dict[str,
         "actuator": [channel.name for channel in getattr(actuators, kind)],
     }
     union = list(dict.fromkeys(names["object"] + names["actuator"]))
-    return {
-        node_type: [own.index(name) if name in own else -1 for name in union]
-        for node_type, own in names.items()
-    }
+    return {node_type: [own.index(name) if name in own else -1 for name in union] for node_type, own in names.items()}

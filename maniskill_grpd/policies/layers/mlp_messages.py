@@ -26,9 +26,7 @@ class MLPMessages(nn.Module):
         scale: Unit of relative positions [m].
     """
 
-    def __init__(
-        self, sender_dim: int, receiver_dim: int, hidden_dim: int, out_dim: int, scale: float
-    ) -> None:
+    def __init__(self, sender_dim: int, receiver_dim: int, hidden_dim: int, out_dim: int, scale: float) -> None:
         super().__init__()
         self.scale = scale
         self.sender = nn.Linear(sender_dim, hidden_dim, bias=False)
@@ -67,11 +65,7 @@ class MLPMessages(nn.Module):
         return self._pool(self.sender(senders)[:, None], receivers, offsets, weight)
 
     def neighbors(
-        self,
-        features: torch.Tensor,
-        positions: torch.Tensor,
-        mask: torch.Tensor,
-        neighbors: torch.Tensor,
+        self, features: torch.Tensor, positions: torch.Tensor, mask: torch.Tensor, neighbors: torch.Tensor
     ) -> torch.Tensor:
         """Send from listed neighbours to every node.
 
@@ -96,13 +90,7 @@ class MLPMessages(nn.Module):
         weight = (gather(mask) & (neighbors >= 0)).to(offsets.dtype)
         return self._pool(gather(self.sender(features)), features, offsets, weight)
 
-    def _pool(
-        self,
-        sent: torch.Tensor,
-        receivers: torch.Tensor,
-        offsets: torch.Tensor,
-        weight: torch.Tensor,
-    ) -> torch.Tensor:
+    def _pool(self, sent: torch.Tensor, receivers: torch.Tensor, offsets: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
         """Average over the third axis: sent (B, R or 1, S, H), offsets (B, R, S, 3)."""
         scaled = offsets / self.scale
         # Under the root 1e-12: the gradient of a length is infinite at zero.

@@ -30,11 +30,7 @@ class NaiveDecoder(nn.Module):
     def __init__(self, scalar_dim: int, vector_dim: int) -> None:
         super().__init__()
         self.mix = nn.Linear(vector_dim, vector_dim, bias=False)
-        self.gate = nn.Sequential(
-            nn.Linear(scalar_dim + vector_dim, scalar_dim),
-            nn.SiLU(),
-            nn.Linear(scalar_dim, vector_dim),
-        )
+        self.gate = nn.Sequential(nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, vector_dim))
         self.output = nn.Linear(vector_dim, 1, bias=False)
         nn.init.orthogonal_(self.output.weight, _INITIAL_GAIN)
 

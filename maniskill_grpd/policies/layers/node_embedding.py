@@ -43,18 +43,14 @@ class NodeEmbedding(nn.Module):
         vector_dim: D.
     """
 
-    def __init__(
-        self, num_vectors: int, num_scalars: int, scalar_dim: int, vector_dim: int
-    ) -> None:
+    def __init__(self, num_vectors: int, num_scalars: int, scalar_dim: int, vector_dim: int) -> None:
         super().__init__()
         self.split = [scalar_dim, vector_dim]
         num_lifted, num_invariants = self.lifted_dims(num_vectors, num_scalars)
         self.to_vectors = ChannelFirstLinear(num_lifted, vector_dim, bias=False)
         self.to_scalars = ChannelFirstLinear(num_invariants, scalar_dim + vector_dim)
 
-    def forward(
-        self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """First features h, V of nodes from their normalised channels."""
         lifted, invariant = self.lift(vectors, scalars, gravity)
         hidden, gate = self.to_scalars(invariant).split(self.split, dim=-1)
@@ -68,9 +64,7 @@ class NodeEmbedding(nn.Module):
         return num_vectors * (1 + len(_SATURATIONS)) + 1, num_invariants
 
     @staticmethod
-    def lift(
-        vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def lift(vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Equivariant copies (L, 3, B, n) and invariants (I, B, n) of inputs; nothing learned."""
         vectors = vectors.permute(2, 3, 0, 1).contiguous()  # (V, 3, B, n)
         gravity = gravity.t()[None, :, :, None].expand(1, *vectors.shape[1:])

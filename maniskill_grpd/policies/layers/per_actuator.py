@@ -41,8 +41,5 @@ class PerActuator(nn.Module):
                 f"the policy has independent decoders for {len(self.decoders)} actuators "
                 f"(option num_decoders), the graph has {count}"
             )
-        outputs = [
-            decoder(scalars[..., i, :], vectors[..., i, :])
-            for i, decoder in enumerate(self.decoders[:count])
-        ]
+        outputs = [decoder(scalars[..., i, :], vectors[..., i, :]) for i, decoder in enumerate(self.decoders[:count])]
         return torch.stack(outputs, dim=-2)

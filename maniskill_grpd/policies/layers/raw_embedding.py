@@ -38,11 +38,7 @@ class RawEmbedding(nn.Module):
         self.norm = nn.LayerNorm(dim)
 
     def forward(
-        self,
-        position: torch.Tensor,
-        vectors: torch.Tensor,
-        scalars: torch.Tensor,
-        gravity: torch.Tensor,
+        self, position: torch.Tensor, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
     ) -> torch.Tensor:
         """First features of nodes from their positions [m] and normalised channels."""
         lifted, invariant = NodeEmbedding.lift(vectors, scalars, gravity)

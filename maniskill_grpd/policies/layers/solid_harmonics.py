@@ -9,9 +9,7 @@ import torch
 MAX_DEGREE = 2
 
 
-def solid_harmonics(
-    x: torch.Tensor, y: torch.Tensor, z: torch.Tensor, max_degree: int
-) -> list[torch.Tensor]:
+def solid_harmonics(x: torch.Tensor, y: torch.Tensor, z: torch.Tensor, max_degree: int) -> list[torch.Tensor]:
     r"""Real solid harmonics |u|^l Y_lm(u / |u|) of u = (x, y, z), as in eq. 19 and 30.
 
     Being polynomials they are smooth at u = 0, where the direction u / |u| is not defined.

@@ -63,12 +63,8 @@ class SteerableConv(nn.Module):
         self.max_degree = max_degree
         # Scalars reach vectors only as multiples of a direction: first mix them down to D channels.
         self.mix = nn.Linear(scalar_dim, vector_dim, bias=False)
-        self.to_scalars = nn.Linear(
-            num_radial * (scalar_dim + vector_dim), out_scalar_dim or scalar_dim
-        )
-        self.to_vectors = nn.Linear(
-            num_radial * (2 + max_degree) * vector_dim, out_vector_dim or vector_dim, bias=False
-        )
+        self.to_scalars = nn.Linear(num_radial * (scalar_dim + vector_dim), out_scalar_dim or scalar_dim)
+        self.to_vectors = nn.Linear(num_radial * (2 + max_degree) * vector_dim, out_vector_dim or vector_dim, bias=False)
 
     def forward(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges | NeighborEdges
@@ -113,11 +109,7 @@ class SteerableConv(nn.Module):
             kinds = [
                 [_sum((p, directed)) for p in (px, py, pz)],
                 [_sum((one, v)) for v in (x, y, z)],
-                [
-                    _sum((py, z)) - _sum((pz, y)),
-                    _sum((pz, x)) - _sum((px, z)),
-                    _sum((px, y)) - _sum((py, x)),
-                ],
+                [_sum((py, z)) - _sum((pz, y)), _sum((pz, x)) - _sum((px, z)), _sum((px, y)) - _sum((py, x))],
             ]
             if self.max_degree == 2:
                 rows = _traceless(weights)
@@ -133,11 +125,7 @@ def _traceless(weights: torch.Tensor) -> list[list[Sequence[torch.Tensor]]]:
     """Matrix sqrt(15) (p p^T - |p|^2 / 3) of harmonics (M, K, ...), each entry K weights."""
     xy, yz, zz, xz, xx_yy = weights[4:9].unbind(0)
     third = 1.0 / math.sqrt(3.0)
-    matrix = [
-        [xx_yy - third * zz, xy, xz],
-        [xy, -xx_yy - third * zz, yz],
-        [xz, yz, (2.0 * third) * zz],
-    ]
+    matrix = [[xx_yy - third * zz, xy, xz], [xy, -xx_yy - third * zz, yz], [xz, yz, (2.0 * third) * zz]]
     return [[entry.unbind(0) for entry in row] for row in matrix]
 
 

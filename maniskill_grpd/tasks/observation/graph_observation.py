@@ -130,9 +130,7 @@ def _node_schema(all_channels: tuple[Channel, ...]) -> NodeSchema:
     )
 
 
-def _stack_channels(
-    positions: torch.Tensor, values: dict[str, torch.Tensor], schema: NodeSchema
-) -> dict[str, torch.Tensor]:
+def _stack_channels(positions: torch.Tensor, values: dict[str, torch.Tensor], schema: NodeSchema) -> dict[str, torch.Tensor]:
     """Stack named channels of n nodes in the order of a schema; everything is copied."""
     return {
         "position": positions.clone(),

@@ -25,11 +25,7 @@ def choose_compute_device(sim_backend: str) -> torch.device:
     if name in CPU_BACKENDS and not index:
         return torch.device("cpu")
     if name not in CUDA_BACKENDS or (index and not index.isdigit()):
-        raise ValueError(
-            f'unknown sim_backend {sim_backend!r}; allowed are "auto", "cpu", "cuda" and "cuda:<n>"'
-        )
+        raise ValueError(f'unknown sim_backend {sim_backend!r}; allowed are "auto", "cpu", "cuda" and "cuda:<n>"')
     if not torch.cuda.is_available():
-        raise ValueError(
-            f'sim_backend {sim_backend!r} needs a CUDA GPU, torch finds none; use "cpu"'
-        )
+        raise ValueError(f'sim_backend {sim_backend!r} needs a CUDA GPU, torch finds none; use "cpu"')
     return torch.device("cuda", int(index)) if index else torch.device("cuda")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 GRAPH = "graph"
 STATE_MODES = ("state", "state_dict", "none")
-IMAGE_MODES = (
-    "rgb", "depth", "segmentation", "position", "normal", "albedo",
-    "rgbd", "pointcloud", "sensor_data",
-)  # fmt: skip
+IMAGE_MODES = ("rgb", "depth", "segmentation", "position", "normal", "albedo", "rgbd", "pointcloud", "sensor_data")
 STAND_ALONE_MODES = ("none", "rgbd", "sensor_data")
 """Modes that ManiSkill cannot join with another one of its own."""
 

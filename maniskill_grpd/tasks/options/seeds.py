@@ -20,7 +20,5 @@ def expand_seeds(seed: int | Sequence[int], num_worlds: int) -> list[int]:
     if len(seeds) == num_worlds:
         return seeds
     if len(seeds) != 1:
-        raise ValueError(
-            f"expected 1 or {num_worlds} seeds, one per world being reset, got {len(seeds)}"
-        )
+        raise ValueError(f"expected 1 or {num_worlds} seeds, one per world being reset, got {len(seeds)}")
     return seeds + np.random.RandomState(seeds[0]).randint(2**31, size=num_worlds - 1).tolist()

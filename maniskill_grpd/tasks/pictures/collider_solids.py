@@ -49,9 +49,7 @@ _BUILDERS: dict[ColliderKind, Callable[[Collider, Size], trimesh.Trimesh]] = {
         radius=size[0], height=2.0 * size[1], count=[SECTIONS, SECTIONS // 2], transform=None
     ),
     ColliderKind.BOX: lambda _, size: trimesh.creation.box(extents=2.0 * np.array(size)),
-    ColliderKind.CYLINDER: lambda _, size: trimesh.creation.cylinder(
-        radius=size[0], height=2.0 * size[1], sections=SECTIONS
-    ),
+    ColliderKind.CYLINDER: lambda _, size: trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=SECTIONS),
     ColliderKind.PRISM: _prism,
     ColliderKind.MESH: lambda collider, size: trimesh.Trimesh(size[0] * collider.vertices, collider.faces, process=False),
 }

@@ -123,13 +123,11 @@ class NumpyPainter:
         near = self._canvas.nearness[window]
         # The nearness of a plane is linear over the picture: this sees steps, and nothing else.
         step = np.zeros_like(near)
-        step[1:-1, 1:-1] = (near[:-2, 1:-1] + near[2:, 1:-1] + near[1:-1, :-2] + near[1:-1, 2:] - 4.0 * near[1:-1, 1:-1])
+        step[1:-1, 1:-1] = near[:-2, 1:-1] + near[2:, 1:-1] + near[1:-1, :-2] + near[1:-1, 2:] - 4.0 * near[1:-1, 1:-1]
         strength = EDGE_DARKNESS * np.clip(step / EDGE_STEP - 1.0, 0.0, 1.0)
         self._canvas.colors[window] *= (1.0 - strength)[..., None]
 
-    def _shaded(
-        self, surface: Surface, front: palette.Color, back: palette.Color
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _shaded(self, surface: Surface, front: palette.Color, back: palette.Color) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the triangles of a surface as a canvas takes them, each in the colour of the side that is seen."""
         corners = surface.vertices[surface.faces]
         outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -38,9 +38,7 @@ sys.exit(0 if camera.get_picture("Color")[8, 8, :3].max() > 0 else 1)
 """
 
 
-def choose_render_device(
-    requested: str | None, render_mode: str | None, obs_mode: str
-) -> str | None:
+def choose_render_device(requested: str | None, render_mode: str | None, obs_mode: str) -> str | None:
     """Return SAPIEN's name of the device to draw with, None where nothing is drawn by SAPIEN.
 
     Args:
@@ -63,9 +61,7 @@ def choose_render_device(
             f'{INSTALL_HINT}. render_mode "rgb_array" works without.'
         )
     if device is None and requested not in ("auto", "none", None):
-        logger.warning(
-            f"render_backend {requested!r} cannot draw here; numpy draws the pictures"
-        )
+        logger.warning(f"render_backend {requested!r} cannot draw here; numpy draws the pictures")
     return device
 
 
@@ -79,12 +75,7 @@ def can_draw(device: str) -> bool:
     if platform.system() == "Darwin":
         return device == "cpu"  # SAPIEN draws through Metal there, under this name
     try:
-        probe = subprocess.run(
-            [sys.executable, "-c", _PROBE, device],
-            capture_output=True,
-            timeout=PROBE_TIMEOUT,
-            check=False,
-        )
+        probe = subprocess.run([sys.executable, "-c", _PROBE, device], capture_output=True, timeout=PROBE_TIMEOUT, check=False)
     except subprocess.TimeoutExpired:
         return False
     return probe.returncode == 0

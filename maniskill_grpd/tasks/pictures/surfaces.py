@@ -84,18 +84,12 @@ def tube_surface(points: np.ndarray, radius: float) -> Surface:
     tangents = _unit(np.gradient(points, axis=0))
     sideways = _transported_normals(tangents)
     angles = np.linspace(0.0, 2.0 * np.pi, TUBE_SIDES, endpoint=False)
-    around = (
-        np.cos(angles)[:, None] * sideways[:, None]
-        + np.sin(angles)[:, None] * np.cross(tangents, sideways)[:, None]
-    )
+    around = np.cos(angles)[:, None] * sideways[:, None] + np.sin(angles)[:, None] * np.cross(tangents, sideways)[:, None]
     # A cap is a quarter circle turned about the axis: rings that get smaller, with tilted normals.
     tilts = np.linspace(np.pi / 2.0, 0.0, CAP_RINGS, endpoint=False)
     tilts = np.concatenate([-tilts, np.zeros(len(points)), tilts[::-1]])
     knots = np.concatenate([np.zeros(CAP_RINGS, int), np.arange(len(points)), np.full(CAP_RINGS, len(points) - 1)])
-    normals = (
-        np.cos(tilts)[:, None, None] * around[knots]
-        + np.sin(tilts)[:, None, None] * tangents[knots][:, None]
-    )
+    normals = np.cos(tilts)[:, None, None] * around[knots] + np.sin(tilts)[:, None, None] * tangents[knots][:, None]
     vertices = points[knots][:, None] + radius * normals
     return Surface(vertices.reshape(-1, 3), _grid_faces(len(knots)), normals.reshape(-1, 3))
 

@@ -72,14 +72,7 @@ class WorldPictures(BaseEnv):
     def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
         pose = sapien_utils.look_at(eye=list(self.CAMERA_POSITION), target=list(self.CAMERA_TARGET))
         return CameraConfig(
-            uid,
-            pose=pose,
-            width=size,
-            height=size,
-            fov=self.CAMERA_FOV,
-            near=0.01,
-            far=10.0,
-            shader_pack=shader_pack,
+            uid, pose=pose, width=size, height=size, fov=self.CAMERA_FOV, near=0.01, far=10.0, shader_pack=shader_pack
         )
 
     def _load_lighting(self, options: dict) -> None:
@@ -110,9 +103,7 @@ class WorldPictures(BaseEnv):
         """Return the cameras' parameters, (B, ...): all worlds are seen by the same cameras."""
         num = len(self._drawn_worlds)
         return {
-            camera: {
-                name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()
-            }
+            camera: {name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()}
             for camera, params in super().get_sensor_params().items()
         }
 
@@ -122,9 +113,7 @@ class WorldPictures(BaseEnv):
             self._painter.show(self._drawing(world), hide_goal=True)
             images.append(super()._get_obs_sensor_data(apply_texture_transforms))
         return {
-            camera: {
-                name: torch.cat([image[camera][name] for image in images]) for name in textures
-            }
+            camera: {name: torch.cat([image[camera][name] for image in images]) for name in textures}
             for camera, textures in images[0].items()
         }
 

@@ -26,9 +26,7 @@ class BatchedScene(ManiSkillScene):
         grip_commands: Whether each gripper is to be closed, (B, A) bool; obeyed where grasps are free.
     """
 
-    def __init__(
-        self, stage: sapien.Scene, solver: Solver, *, has_free_grasps: bool, **settings: Any
-    ) -> None:
+    def __init__(self, stage: sapien.Scene, solver: Solver, *, has_free_grasps: bool, **settings: Any) -> None:
         """Wrap a solver.
 
         Args:

@@ -29,14 +29,9 @@ def read_rows(state: Mapping[str, Any], template: StateDict, num_rows: int) -> S
     """
     given = dict(_leaves(state))
     expected = dict(_leaves(template))
-    missing, unknown = (
-        sorted(expected.keys() - given.keys()),
-        sorted(given.keys() - expected.keys()),
-    )
+    missing, unknown = (sorted(expected.keys() - given.keys()), sorted(given.keys() - expected.keys()))
     if missing or unknown:
-        raise ValueError(
-            f"the state does not fit this environment: missing {missing}, unknown {unknown}"
-        )
+        raise ValueError(f"the state does not fit this environment: missing {missing}, unknown {unknown}")
     rows: StateDict = {}
     for path, leaf in expected.items():
         row = _as_rows("/".join(path), given[path], num_rows, leaf.shape[1]).to(leaf)
@@ -64,9 +59,7 @@ def read_flat(flat: Any, template: StateDict, num_rows: int) -> StateDict:
     return rows
 
 
-def _leaves(
-    tree: Mapping[str, Any], path: tuple[str, ...] = ()
-) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _leaves(tree: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     for key, value in tree.items():
         if isinstance(value, Mapping):
             yield from _leaves(value, (*path, key))
@@ -85,9 +78,7 @@ def _as_rows(name: str, value: Any, num_rows: int, width: int) -> torch.Tensor:
     if tensor.ndim == 1 and num_rows == 1:
         tensor = tensor[None]
     if tuple(tensor.shape) != (num_rows, width):
-        raise ValueError(
-            f"{name} must be ({num_rows}, {width}), one row per world, got {tuple(tensor.shape)}"
-        )
+        raise ValueError(f"{name} must be ({num_rows}, {width}), one row per world, got {tuple(tensor.shape)}")
     if not torch.isfinite(tensor).all():
         raise ValueError(f"{name} must be finite, got NaN or infinity")
     return tensor

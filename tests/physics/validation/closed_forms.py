@@ -50,8 +50,11 @@ def heavy_elastica(gamma: float) -> tuple[float, float]:
         solution = solve_bvp(
             lambda s, y, load=load: np.array([y[1], -load * (1.0 - s) * np.cos(y[0])]),
             lambda start, end: np.array([start[0], end[1]]),
-            s, shape, tol=1e-9, max_nodes=100_000,
-        )  # fmt: skip
+            s,
+            shape,
+            tol=1e-9,
+            max_nodes=100_000,
+        )
         s, shape = solution.x, solution.y
     fine = np.linspace(0.0, 1.0, 4001)
     theta = -solution.sol(fine)[0]

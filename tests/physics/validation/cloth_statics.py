@@ -72,11 +72,14 @@ def hanging_sheet(test: str, *, num_nodes: int, substeps: int = 100) -> Iterator
     # it carries the most load. Springs are linear in their length, sheets in the strain: second order of the strain.
     clamp = 2.0 * (width / 3.0) / length / 9.0
     yield Check(
-        test=test, what=f"elongation of a hanging sheet, {model.num_nodes} nodes [m]", equation="rho_A g L^2 / (2 E)",
-        expected=expected, measured=measured,
+        test=test,
+        what=f"elongation of a hanging sheet, {model.num_nodes} nodes [m]",
+        equation="rho_A g L^2 / (2 E)",
+        expected=expected,
+        measured=measured,
         tolerance=expected * (clamp + strain + stretch_softening(model, dt) + float_strain(dt, length)) + drift_bound(solver),
         why="edge that cannot narrow; second order of the strain; softening k dt^2/m of the sweep; roundings",
-    )  # fmt: skip
+    )
 
 
 def substep_independence(test: str) -> Iterator[Check]:
@@ -88,10 +91,14 @@ def substep_independence(test: str) -> Iterator[Check]:
     for substeps in (50, 100):
         tolerance = reference * (stretch_softening(model, 0.05 / substeps) + float_strain(0.05 / 200, 0.5))
         yield Check(
-            test=test, what=f"elongation of a hanging sheet, {substeps} substeps [m]", equation="elongation at 200 substeps",
-            expected=reference, measured=runs[substeps].measured, tolerance=tolerance,
+            test=test,
+            what=f"elongation of a hanging sheet, {substeps} substeps [m]",
+            equation="elongation at 200 substeps",
+            expected=reference,
+            measured=runs[substeps].measured,
+            tolerance=tolerance,
             why="softening k dt^2/m of the sweep; roundings",
-        )  # fmt: skip
+        )
 
 
 def sheet_cantilever(test: str, *, gamma: float, along: int = 12) -> Iterator[Check]:
@@ -100,9 +107,12 @@ def sheet_cantilever(test: str, *, gamma: float, along: int = 12) -> Iterator[Ch
     segment = length / (along - 1.5)
     bend = density * GRAVITY * length**3 / gamma
     material = ClothMaterial(
-        area_density=density, stretch_stiffness=1e3 * density * GRAVITY * length, bend_stiffness=bend,
-        damping=6.0, max_strain=np.inf,
-    )  # fmt: skip
+        area_density=density,
+        stretch_stiffness=1e3 * density * GRAVITY * length,
+        bend_stiffness=bend,
+        damping=6.0,
+        max_strain=np.inf,
+    )
     across = 4
     outline = rectangle_outline(segment * (along - 1), segment * (across - 1))
     model = cloth(outline, num_nodes=along * across, material=material)
@@ -132,18 +142,26 @@ def sheet_cantilever(test: str, *, gamma: float, along: int = 12) -> Iterator[Ch
         ("X/L", measured_reach, reach, (softer[0] - reach) / 1e-3),
     ):
         yield Check(
-            test=test, what=f"{name} of an overhanging strip, Gamma = {actual:.3g}, {along} x {across} nodes",
-            equation="heavy elastica (strip of cloth)", expected=expected, measured=measured,
-            tolerance=lumping * max(expected, 0.2) + abs(slope) * softening + 1e-3 + drift_bound(solver), why=why,
-        )  # fmt: skip
+            test=test,
+            what=f"{name} of an overhanging strip, Gamma = {actual:.3g}, {along} x {across} nodes",
+            equation="heavy elastica (strip of cloth)",
+            expected=expected,
+            measured=measured,
+            tolerance=lumping * max(expected, 0.2) + abs(slope) * softening + 1e-3 + drift_bound(solver),
+            why=why,
+        )
     if test == "T5":
         angle, closed = np.degrees(np.arctan2(measured_drop, measured_reach)), np.degrees(np.arctan2(drop, reach))
         sensitivity = abs(np.degrees(np.arctan2(softer[1], softer[0])) - closed) / 1e-3
         yield Check(
-            test=test, what="chord angle of a strip that overhangs by twice its bending length [deg]",
-            equation="41.5 deg at L = 2 (B / w)^(1/3) (ASTM D1388)", expected=float(closed), measured=float(angle),
-            tolerance=sensitivity * softening + np.degrees(lumping) + np.degrees(drift_bound(solver) / beam), why=why,
-        )  # fmt: skip
+            test=test,
+            what="chord angle of a strip that overhangs by twice its bending length [deg]",
+            equation="41.5 deg at L = 2 (B / w)^(1/3) (ASTM D1388)",
+            expected=float(closed),
+            measured=float(angle),
+            tolerance=sensitivity * softening + np.degrees(lumping) + np.degrees(drift_bound(solver) / beam),
+            why=why,
+        )
 
 
 def membrane(test: str, *, num_nodes: int) -> Iterator[Check]:
@@ -172,17 +190,23 @@ def membrane(test: str, *, num_nodes: int) -> Iterator[Check]:
     # The ends cannot narrow: within a third of the width of each the strip is stiffer by 9/8.
     clamp = 2.0 * (width / 3.0) / length / 8.0
     yield Check(
-        test=test, what=f"force of a strip pulled by 2 %, {model.num_nodes} nodes [N]", equation="E w e",
-        expected=stiffness * width * strain, measured=float(force),
+        test=test,
+        what=f"force of a strip pulled by 2 %, {model.num_nodes} nodes [N]",
+        equation="E w e",
+        expected=stiffness * width * strain,
+        measured=float(force),
         tolerance=stiffness * width * strain * (clamp + 2.0 * strain + 1.0 / np.sqrt(model.num_nodes)),
         why="ends that cannot narrow; second order of the strain; fit of springs at the rim, one row in sqrt(N)",
-    )  # fmt: skip
+    )
     yield Check(
-        test=test, what=f"transverse strain of the strip, {model.num_nodes} nodes", equation="-nu e, nu = 1/3",
-        expected=-strain / 3.0, measured=float(slope),
+        test=test,
+        what=f"transverse strain of the strip, {model.num_nodes} nodes",
+        equation="-nu e, nu = 1/3",
+        expected=-strain / 3.0,
+        measured=float(slope),
         tolerance=strain / 3.0 * (np.exp(-0.35 * length / width * np.pi) + 2.0 * strain + 2.0 / np.sqrt(model.num_nodes)),
         why="decay of the ends' effect (Saint-Venant); second order of the strain; rim rows",
-    )  # fmt: skip
+    )
 
 
 def drape(test: str) -> Iterator[Check]:
@@ -201,18 +225,32 @@ def drape(test: str) -> Iterator[Check]:
     strain = ((x[i] - x[j]).norm(dim=-1) / torch.as_tensor(model.rest_lengths) - 1.0).abs()
     depth = (0.08 + model.radius - x.norm(dim=-1)).clamp(min=0.0)
     yield Check(
-        test=test, what="p99 edge strain of a cloth draped over a sphere", equation="< 0.05", expected=0.0,
-        measured=torch.quantile(strain, 0.99).item(), tolerance=0.05, why="required bound",
-    )  # fmt: skip
+        test=test,
+        what="p99 edge strain of a cloth draped over a sphere",
+        equation="< 0.05",
+        expected=0.0,
+        measured=torch.quantile(strain, 0.99).item(),
+        tolerance=0.05,
+        why="required bound",
+    )
     yield Check(
-        test=test, what="p99 penetration of the sphere [m]", equation="< radius", expected=0.0,
-        measured=torch.quantile(depth, 0.99).item(), tolerance=0.5 * model.radius, why="required: half the thickness",
-    )  # fmt: skip
+        test=test,
+        what="p99 penetration of the sphere [m]",
+        equation="< radius",
+        expected=0.0,
+        measured=torch.quantile(depth, 0.99).item(),
+        tolerance=0.5 * model.radius,
+        why="required: half the thickness",
+    )
     yield Check(
-        test=test, what="median difference of heights under a quarter turn [m]", equation="0 by symmetry", expected=0.0,
-        measured=heights.median().item(), tolerance=0.3 / 12,
+        test=test,
+        what="median difference of heights under a quarter turn [m]",
+        equation="0 by symmetry",
+        expected=0.0,
+        measured=heights.median().item(),
+        tolerance=0.3 / 12,
         why="folds break the symmetry of the square in a place that the mesh's diagonals choose: one mesh width",
-    )  # fmt: skip
+    )
 
 
 def drape_coefficient(model: Model) -> float:
@@ -244,13 +282,23 @@ def cusick(test: str) -> Iterator[Check]:
     series = ", ".join(f"{value:.2f}" for value in values)
     smallest_rise = min(later - earlier for earlier, later in zip(values, values[1:], strict=False))
     yield Check(
-        test=test, what="drape coefficient at B = 1e-2 N m (Gamma = 0.04 for the 6 cm that overhang)", equation="1 (rigid)",
-        expected=1.0, measured=values[-1], tolerance=0.1, why="drop c Gamma / 8 hardly shortens the shadow; faceted rim",
-    )  # fmt: skip
+        test=test,
+        what="drape coefficient at B = 1e-2 N m (Gamma = 0.04 for the 6 cm that overhang)",
+        equation="1 (rigid)",
+        expected=1.0,
+        measured=values[-1],
+        tolerance=0.1,
+        why="drop c Gamma / 8 hardly shortens the shadow; faceted rim",
+    )
     yield Check(
-        test=test, what=f"smallest rise of the drape coefficient over B = 1e-6, 1e-4, 1e-2 N m ({series})",
-        equation="> 0", expected=max(smallest_rise, 0.0), measured=smallest_rise, tolerance=0.0, why="stiffer cloth drapes less",
-    )  # fmt: skip
+        test=test,
+        what=f"smallest rise of the drape coefficient over B = 1e-6, 1e-4, 1e-2 N m ({series})",
+        equation="> 0",
+        expected=max(smallest_rise, 0.0),
+        measured=smallest_rise,
+        tolerance=0.0,
+        why="stiffer cloth drapes less",
+    )
 
 
 CASES = [

@@ -30,11 +30,14 @@ def incline(test: str, *, friction: float, margin: float) -> Iterator[Check]:
     # Symplectic Euler is ahead by a t dt / 2; a node at rest creeps by at most an ulp of its coordinate per substep.
     tolerance = 0.5 * GRAVITY * time * dt * np.sin(slope) if sliding else 10 * solver.substeps * FLOAT32_ULP * 0.01
     yield Check(
-        test=test, what=f"distance in 0.5 s on an incline of {np.degrees(slope):.2f} deg, mu = {friction:g} [m]",
-        equation="g (sin - mu cos) t^2 / 2" if sliding else "0 (stick)", expected=0.5 * acceleration * time**2,
-        measured=solver.positions[0, :, 0].mean().item(), tolerance=tolerance,
+        test=test,
+        what=f"distance in 0.5 s on an incline of {np.degrees(slope):.2f} deg, mu = {friction:g} [m]",
+        equation="g (sin - mu cos) t^2 / 2" if sliding else "0 (stick)",
+        expected=0.5 * acceleration * time**2,
+        measured=solver.positions[0, :, 0].mean().item(),
+        tolerance=tolerance,
         why="first order: g sin t dt / 2" if sliding else "one ulp of 1 cm per substep",
-    )  # fmt: skip
+    )
 
 
 def friction_angle(test: str, *, friction: float) -> Iterator[Check]:
@@ -56,9 +59,14 @@ def friction_angle(test: str, *, friction: float) -> Iterator[Check]:
     dt = solver.control_dt / solver.substeps
     rounding = np.degrees(FLOAT32_ULP * 0.01 / (GRAVITY * dt**2))
     yield Check(
-        test=test, what=f"slope at which sliding starts, mu = {friction:g} [deg]", equation="arctan(mu)", expected=expected,
-        measured=measured, tolerance=resolution + 2.0 * rounding, why="spacing of the slopes tried; rounding of the depth",
-    )  # fmt: skip
+        test=test,
+        what=f"slope at which sliding starts, mu = {friction:g} [deg]",
+        equation="arctan(mu)",
+        expected=expected,
+        measured=measured,
+        tolerance=resolution + 2.0 * rounding,
+        why="spacing of the slopes tried; rounding of the depth",
+    )
 
 
 def overhang(test: str, *, friction: float) -> Iterator[Check]:
@@ -90,11 +98,14 @@ def overhang(test: str, *, friction: float) -> Iterator[Check]:
     # A rope that is not yet taut first takes up its strain; the millimetres by which it moves count as hanging.
     settling = moved[moved < 0.2 * length].max() / length if (moved < 0.2 * length).any() else np.nan
     yield Check(
-        test=test, what=f"hanging fraction at which a rope slides off a table, mu = {friction:g}",
-        equation="capstan with weight over the edge", expected=critical, measured=float(measured),
+        test=test,
+        what=f"hanging fraction at which a rope slides off a table, mu = {friction:g}",
+        equation="capstan with weight over the edge",
+        expected=critical,
+        measured=float(measured),
         tolerance=settling + 1.0 / (num_nodes - 1) + fractions[1] - fractions[0],
         why="creep before it holds; one segment; spacing of the worlds",
-    )  # fmt: skip
+    )
 
 
 def capstan(test: str, *, friction: float) -> Iterator[Check]:
@@ -129,10 +140,14 @@ def capstan(test: str, *, friction: float) -> Iterator[Check]:
     delta = model.length / (num_nodes - 1) / (drum + radius)
     arc_weight = material.linear_density * (drum + radius) / (light + own) * (1.0 + friction)
     yield Check(
-        test=test, what=f"tension ratio that a half turn holds, mu = {friction:g}", equation="exp(mu pi)", expected=closed_form,
-        measured=float(measured), tolerance=closed_form * (friction * delta + arc_weight + 0.02) + (ratios[1] - ratios[0]),
+        test=test,
+        what=f"tension ratio that a half turn holds, mu = {friction:g}",
+        equation="exp(mu pi)",
+        expected=closed_form,
+        measured=float(measured),
+        tolerance=closed_form * (friction * delta + arc_weight + 0.02) + (ratios[1] - ratios[0]),
         why="one contact more or less on the polygon, mu delta; weight of the rope on the drum; 1 % to be seen in 2 s; spacing",
-    )  # fmt: skip
+    )
 
 
 def dropped_rope(test: str) -> Iterator[Check]:
@@ -145,14 +160,23 @@ def dropped_rope(test: str) -> Iterator[Check]:
         lowest = min(lowest, solver.positions[..., 2].min().item())
     rounding = 0.5 * FLOAT32_ULP
     yield Check(
-        test=test, what="deepest penetration of the table while falling and at rest [m]", equation="0", expected=0.0,
-        measured=max(0.0, model.radius - lowest), tolerance=rounding, why="contact is the last projection of a substep; rounding",
-    )  # fmt: skip
+        test=test,
+        what="deepest penetration of the table while falling and at rest [m]",
+        equation="0",
+        expected=0.0,
+        measured=max(0.0, model.radius - lowest),
+        tolerance=rounding,
+        why="contact is the last projection of a substep; rounding",
+    )
     yield Check(
-        test=test, what="height of the highest node at rest [m]", equation="radius", expected=model.radius,
-        measured=solver.positions[..., 2].max().item(), tolerance=rounding + GRAVITY * 0.05**2 / solver.substeps**2,
+        test=test,
+        what="height of the highest node at rest [m]",
+        equation="radius",
+        expected=model.radius,
+        measured=solver.positions[..., 2].max().item(),
+        tolerance=rounding + GRAVITY * 0.05**2 / solver.substeps**2,
         why="one substep of gravity",
-    )  # fmt: skip
+    )
 
 
 def full_speed(test: str, *, thing: str, shape: str) -> Iterator[Check]:
@@ -181,14 +205,23 @@ def full_speed(test: str, *, thing: str, shape: str) -> Iterator[Check]:
         depths.append((model.radius - surface_distance(shape, solver.positions))[free].clamp(min=0.0))
     depth = torch.cat(depths).double().numpy()
     yield Check(
-        test=test, what=f"p99 penetration of a {thing} dragged over a {shape} at 0.6 m/s [m]", equation="0", expected=0.0,
-        measured=float(np.quantile(depth, 0.99)), tolerance=model.radius, why="half the thickness",
-    )  # fmt: skip
+        test=test,
+        what=f"p99 penetration of a {thing} dragged over a {shape} at 0.6 m/s [m]",
+        equation="0",
+        expected=0.0,
+        measured=float(np.quantile(depth, 0.99)),
+        tolerance=model.radius,
+        why="half the thickness",
+    )
     yield Check(
-        test=test, what=f"largest penetration of a {shape} by a {thing} dragged at 0.6 m/s [m]", equation="0", expected=0.0,
-        measured=float(depth.max()), tolerance=model.radius + 0.6 * solver.control_dt / solver.substeps,
+        test=test,
+        what=f"largest penetration of a {shape} by a {thing} dragged at 0.6 m/s [m]",
+        equation="0",
+        expected=0.0,
+        measured=float(depth.max()),
+        tolerance=model.radius + 0.6 * solver.control_dt / solver.substeps,
         why="radius plus the motion of one substep: more would be tunnelling",
-    )  # fmt: skip
+    )
 
 
 def surface_distance(shape: str, points: torch.Tensor) -> torch.Tensor:

@@ -27,14 +27,23 @@ def free_fall(test: str) -> Iterator[Check]:
     rounding = expected * FLOAT32_ULP * n**1.5
     for name, measured in (("highest", drop.min()), ("lowest", drop.max())):
         yield Check(
-            test=test, what=f"fall of the {name} node after 0.5 s [m]", equation="g dt^2 n (n + 1) / 2", expected=expected,
-            measured=measured.item(), tolerance=rounding, why="each substep rounds, the rest of the fall carries it on",
-        )  # fmt: skip
+            test=test,
+            what=f"fall of the {name} node after 0.5 s [m]",
+            equation="g dt^2 n (n + 1) / 2",
+            expected=expected,
+            measured=measured.item(),
+            tolerance=rounding,
+            why="each substep rounds, the rest of the fall carries it on",
+        )
     yield Check(
-        test=test, what="fall of the centre of mass after 0.5 s against the continuous form [m]", equation="g t^2 / 2",
-        expected=0.5 * GRAVITY * 0.25, measured=drop.mean().item(), tolerance=0.5 * GRAVITY * 0.5 * dt + rounding,
+        test=test,
+        what="fall of the centre of mass after 0.5 s against the continuous form [m]",
+        equation="g t^2 / 2",
+        expected=0.5 * GRAVITY * 0.25,
+        measured=drop.mean().item(),
+        tolerance=0.5 * GRAVITY * 0.5 * dt + rounding,
         why="first order: g t dt / 2",
-    )  # fmt: skip
+    )
 
 
 def energy(solver: Solver) -> tuple[float, float]:
@@ -77,19 +86,28 @@ def free_flight(test: str) -> Iterator[Check]:
     # A substep rounds every position twice (predict, project) by ulp(0.25 m) / 2, hence velocities by that over dt, at random.
     rounding = masses.sum().item() * 0.25 * FLOAT32_ULP / dt * np.sqrt(substeps)
     yield Check(
-        test=test, what="change of linear momentum in 2 s of free flight [kg m/s]", equation="p = const", expected=0.0,
-        measured=change, tolerance=rounding, why="random roundings of velocities by ulp / dt",
-    )  # fmt: skip
+        test=test,
+        what="change of linear momentum in 2 s of free flight [kg m/s]",
+        equation="p = const",
+        expected=0.0,
+        measured=change,
+        tolerance=rounding,
+        why="random roundings of velocities by ulp / dt",
+    )
     totals, bends = zip(*energies, strict=True)
     growth = max(later - earlier for earlier, later in zip(totals, totals[1:], strict=False))
     material = RopeMaterial()
     segment = solver.model.length / (solver.model.num_nodes - 1)
     softening = closed_forms.bend_softening(material.bend_stiffness, material.linear_density, segment, dt)
     yield Check(
-        test=test, what="largest growth of kinetic + elastic energy per 0.05 s of free flight [J]", equation="dE <= 0",
-        expected=0.0, measured=max(0.0, growth), tolerance=softening * max(bends) + 0.3 * rounding,
+        test=test,
+        what="largest growth of kinetic + elastic energy per 0.05 s of free flight [J]",
+        equation="dE <= 0",
+        expected=0.0,
+        measured=max(0.0, growth),
+        tolerance=softening * max(bends) + 0.3 * rounding,
         why="bending acts softer by 3 EI dt^2/(rho l^4) than it is counted here; roundings times the speed",
-    )  # fmt: skip
+    )
 
 
 def spinning_rope(test: str, *, substeps: int) -> Iterator[Check]:
@@ -118,11 +136,14 @@ def spinning_rope(test: str, *, substeps: int) -> Iterator[Check]:
     # Centrifugal strain changes the moment of inertia by 2 rho omega^2 (L/2)^2 / (2 EA); next order of the decay is (omega dt)^2.
     strain = material.linear_density * omega**2 * 0.4**2 / material.stretch_stiffness
     yield Check(
-        test=test, what=f"L(2 s) / L(0) of a rope spinning at 4 rad/s, {substeps} substeps (continuous: 1)",
-        equation="1 / sqrt(1 + 2 omega^2 dt t)", expected=float(expected), measured=angular_momentum() / start,
+        test=test,
+        what=f"L(2 s) / L(0) of a rope spinning at 4 rad/s, {substeps} substeps (continuous: 1)",
+        equation="1 / sqrt(1 + 2 omega^2 dt t)",
+        expected=float(expected),
+        measured=angular_momentum() / start,
         tolerance=(omega * dt) ** 2 * omega * seconds + strain + FLOAT32_ULP * 0.4 / (omega * 0.4 * dt) * np.sqrt(seconds / dt),
         why="(omega dt)^2 per radian; strain; roundings of velocities",
-    )  # fmt: skip
+    )
 
 
 def pendulum(test: str, *, degrees: float) -> Iterator[Check]:
@@ -149,18 +170,26 @@ def pendulum(test: str, *, degrees: float) -> Iterator[Check]:
     skew = (2.0 * omega * dt) ** 2 + float_strain(dt, length, GRAVITY * np.sin(amplitudes.min()))
     crossing = 2.0 * (omega * 4 * dt) ** 3 / 6.0
     yield Check(
-        test=test, what=f"T / T0 of a pendulum released at {degrees:g} deg, mean over 10 s",
-        equation="2/pi K(sin^2(theta/2)) at the measured amplitudes", expected=float(expected),
-        measured=float(halves.mean()), tolerance=skew + crossing, why="(2 omega dt)^2; roundings of velocity; sampled amplitudes",
-    )  # fmt: skip
+        test=test,
+        what=f"T / T0 of a pendulum released at {degrees:g} deg, mean over 10 s",
+        equation="2/pi K(sin^2(theta/2)) at the measured amplitudes",
+        expected=float(expected),
+        measured=float(halves.mean()),
+        tolerance=skew + crossing,
+        why="(2 omega dt)^2; roundings of velocity; sampled amplitudes",
+    )
     if degrees <= 10.0:
         rate = -np.polyfit(0.5 * (times[1:] + times[:-1]), np.log(amplitudes), 1)[0]
         damping = 0.5 * omega**2 * dt
         yield Check(
-            test=test, what="decay rate of the amplitude, substep 2.5 ms [1/s]", equation="omega^2 dt / 2 (implicit Euler)",
-            expected=damping, measured=float(rate), tolerance=0.15 * damping,
+            test=test,
+            what="decay rate of the amplitude, substep 2.5 ms [1/s]",
+            equation="omega^2 dt / 2 (implicit Euler)",
+            expected=damping,
+            measured=float(rate),
+            tolerance=0.15 * damping,
             why="sampled maxima: (omega 4 dt)^2 / 8 of a swing against ten swings' decay",
-        )  # fmt: skip
+        )
 
 
 def crossings(signal: np.ndarray, dt: float) -> np.ndarray:
@@ -193,11 +222,14 @@ def heavy_rope_mode(test: str, *, mode: int, num_nodes: int) -> Iterator[Check]:
     stretch = material.linear_density * GRAVITY * length / material.stretch_stiffness
     time_error = (omega * dt) ** 2 + (omega * control_dt) ** 3 / num_periods
     yield Check(
-        test=test, what=f"omega sqrt(L/g) of mode {mode + 1} of a hanging rope, {num_nodes} nodes", equation="j_0k / 2",
-        expected=frequency, measured=float(measured),
+        test=test,
+        what=f"omega sqrt(L/g) of mode {mode + 1} of a hanging rope, {num_nodes} nodes",
+        equation="j_0k / 2",
+        expected=frequency,
+        measured=float(measured),
         tolerance=abs(discrete - frequency) + frequency * (stretch + time_error + 0.5 * amplitude + float_strain(dt, length)),
         why="exact eigenvalue of the discrete chain; strain; (omega dt)^2; amplitude; roundings",
-    )  # fmt: skip
+    )
 
 
 def taut_string(test: str, *, strain: float, num_nodes: int) -> Iterator[Check]:
@@ -229,11 +261,14 @@ def taut_string(test: str, *, strain: float, num_nodes: int) -> Iterator[Check]:
     stiffening = 0.125 * (amplitude * np.pi / length) ** 2 / strain
     rounding = float_strain(dt, length, omega**2 * amplitude * np.exp(-0.5 * omega**2 * dt * dt * len(signal)))
     yield Check(
-        test=test, what=f"omega of a string of {num_nodes} nodes, T = {tension / limit:.1f} rho l^2 / (3 dt^2) [1/s]",
-        equation="pi / L sqrt(T / rho)", expected=float(omega), measured=float(measured),
+        test=test,
+        what=f"omega of a string of {num_nodes} nodes, T = {tension / limit:.1f} rho l^2 / (3 dt^2) [1/s]",
+        equation="pi / L sqrt(T / rho)",
+        expected=float(omega),
+        measured=float(measured),
         tolerance=omega * (0.5 * (omega * dt) ** 2 + lumping + stiffening + rounding / num_periods),
         why="(omega dt)^2 / 2 of implicit Euler; lumping; stretch by the amplitude; roundings of the last swing",
-    )  # fmt: skip
+    )
 
 
 def rest_is_rest(test: str, *, num_nodes: int, span: float) -> Iterator[Check]:
@@ -250,10 +285,14 @@ def rest_is_rest(test: str, *, num_nodes: int, span: float) -> Iterator[Check]:
     dt = solver.control_dt / solver.substeps
     speed = solver.velocities.norm(dim=-1).max().item()
     yield Check(
-        test=test, what=f"largest speed of a rope of {num_nodes} nodes after 20 s, ends at {span:g} of its length [m/s]",
-        equation="v = 0 at rest", expected=0.0, measured=speed,
-        tolerance=2.0 * FLOAT32_ULP * 0.8 / dt, why="a position that flips by one ulp per substep",
-    )  # fmt: skip
+        test=test,
+        what=f"largest speed of a rope of {num_nodes} nodes after 20 s, ends at {span:g} of its length [m/s]",
+        equation="v = 0 at rest",
+        expected=0.0,
+        measured=speed,
+        tolerance=2.0 * FLOAT32_ULP * 0.8 / dt,
+        why="a position that flips by one ulp per substep",
+    )
 
 
 CASES = [

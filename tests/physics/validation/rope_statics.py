@@ -41,11 +41,14 @@ def hanging_rod(test: str, *, num_nodes: int, substeps: int) -> Iterator[Check]:
     expected = density * GRAVITY * length**2 / (2.0 * stiffness)
     dt = solver.control_dt / substeps
     yield Check(
-        test=test, what=f"elongation of a hanging rod, {num_nodes} nodes, {substeps} substeps [m]",
-        equation="rho g L^2 / (2 EA)", expected=expected, measured=-solver.positions[0, -1, 2].item() - length,
+        test=test,
+        what=f"elongation of a hanging rod, {num_nodes} nodes, {substeps} substeps [m]",
+        equation="rho g L^2 / (2 EA)",
+        expected=expected,
+        measured=-solver.positions[0, -1, 2].item() - length,
         tolerance=num_nodes * FLOAT32_ULP * length + 2.0 * float_strain(dt, length) * expected,
         why="one rounding per node; weight rounds to ulp/2 against g dt^2, twice (position and velocity)",
-    )  # fmt: skip
+    )
 
 
 def tip_load(test: str) -> Iterator[Check]:
@@ -59,10 +62,14 @@ def tip_load(test: str) -> Iterator[Check]:
     expected = (load + 0.5 * density) * GRAVITY / stiffness
     dt = solver.control_dt / solver.substeps
     yield Check(
-        test=test, what="elongation under a tip load [m]", equation="F L / EA", expected=expected,
+        test=test,
+        what="elongation under a tip load [m]",
+        equation="F L / EA",
+        expected=expected,
         measured=-solver.positions[0, -1, 2].item() - 1.0,
-        tolerance=11 * FLOAT32_ULP + 2.0 * float_strain(dt, 1.0) * expected, why="as for the hanging rod",
-    )  # fmt: skip
+        tolerance=11 * FLOAT32_ULP + 2.0 * float_strain(dt, 1.0) * expected,
+        why="as for the hanging rod",
+    )
 
 
 def iteration_independence(test: str, *, bend_stiffness: float) -> Iterator[Check]:
@@ -87,11 +94,14 @@ def iteration_independence(test: str, *, bend_stiffness: float) -> Iterator[Chec
         softening = closed_forms.bend_softening(bend_stiffness, density, segment, dt)
         newton_strain = 2.0 * (GRAVITY * dt**2 / segment) ** 2
         yield Check(
-            test=test, what=f"sag of a held rope, {substeps} substeps, EI = {bend_stiffness:g} N m^2 [m]",
-            equation="sag at 20 substeps", expected=sags[20], measured=sags[substeps],
+            test=test,
+            what=f"sag of a held rope, {substeps} substeps, EI = {bend_stiffness:g} N m^2 [m]",
+            equation="sag at 20 substeps",
+            expected=sags[20],
+            measured=sags[substeps],
             tolerance=sags[20] * (softening + float_strain(0.05 / 20, length)) + sensitivity * length * newton_strain,
             why="softening 3 EI dt^2/(rho l^4) of the bending sweep; strain (2 g dt^2)^2/(2 l^2) of one Newton step; roundings",
-        )  # fmt: skip
+        )
 
 
 def hanging_chain(test: str, *, slack: float, num_links: int) -> Iterator[Check]:
@@ -112,11 +122,14 @@ def hanging_chain(test: str, *, slack: float, num_links: int) -> Iterator[Check]
     dt = solver.control_dt / solver.substeps
     noise = num_links * FLOAT32_ULP * span * sensitivity + float_strain(dt, span) * sag
     yield Check(
-        test=test, what=f"sag of a chain, L/d = {slack:g}, {num_links} links [m]", equation="a (cosh(d / 2a) - 1)",
-        expected=sag, measured=-solver.positions[0, :, 2].min().item(),
+        test=test,
+        what=f"sag of a chain, L/d = {slack:g}, {num_links} links [m]",
+        equation="a (cosh(d / 2a) - 1)",
+        expected=sag,
+        measured=-solver.positions[0, :, 2].min().item(),
         tolerance=abs(discrete - sag) + strain * length * sensitivity + noise + drift_bound(solver),
         why="sag of the exact chain of rigid links; elastic strain; roundings; what is left of the motion",
-    )  # fmt: skip
+    )
 
 
 def drift_bound(solver: Solver) -> float:
@@ -155,10 +168,14 @@ def cantilever(test: str, *, gamma: float, length: float, num_nodes: int = 12) -
         # curvature, both of relative order (l / L)^2; hinges saturate by kappa^2 l^2 / 24 < Gamma^2 (l / L)^2 / 96 at the root.
         lumping = (segment / length) ** 2 * (1.0 + min(gamma, 8.0) ** 2 / 96.0) * max(expected, 0.2)
         yield Check(
-            test=test, what=f"{name} of a cantilever, {where}", equation="heavy elastica", expected=expected, measured=measured,
+            test=test,
+            what=f"{name} of a cantilever, {where}",
+            equation="heavy elastica",
+            expected=expected,
+            measured=measured,
             tolerance=lumping + abs(slope) * softening + 5e-4 + drift_bound(solver) / length,
             why="(l/L)^2 of the hinges; softening 3 EI dt^2/(rho l^4) of the sweep; strain w L/EA = 5e-4; roundings",
-        )  # fmt: skip
+        )
 
 
 def balanced_substeps(gamma: float, length: float, num_nodes: int) -> int:
@@ -198,15 +215,23 @@ def ring(test: str) -> Iterator[Check]:
     tolerance = np.degrees(4.0 * FLOAT32_ULP * radius / segment) + 360.0 * strain + np.degrees(drift_bound(solver) / radius)
     tolerance += 9.0 * softening
     yield Check(
-        test=test, what="RMS deviation of the turning angle of a ring from 9 deg [deg]", equation="theta = 2 pi l / L",
-        expected=0.0, measured=float(np.sqrt(np.mean((turns - 9.0) ** 2))), tolerance=tolerance,
+        test=test,
+        what="RMS deviation of the turning angle of a ring from 9 deg [deg]",
+        equation="theta = 2 pi l / L",
+        expected=0.0,
+        measured=float(np.sqrt(np.mean((turns - 9.0) ** 2))),
+        tolerance=tolerance,
         why="softening of the sweep, which differs by colour; roundings over a segment; strain; what is left of the motion",
-    )  # fmt: skip
+    )
     yield Check(
-        test=test, what="largest distance of the ring from its circle [m]", equation="|x| = R", expected=0.0,
-        measured=float(np.abs(np.linalg.norm(points, axis=1) - radius).max()), tolerance=radius * np.radians(tolerance),
+        test=test,
+        what="largest distance of the ring from its circle [m]",
+        equation="|x| = R",
+        expected=0.0,
+        measured=float(np.abs(np.linalg.norm(points, axis=1) - radius).max()),
+        tolerance=radius * np.radians(tolerance),
         why="the same angle times the radius",
-    )  # fmt: skip
+    )
 
 
 def bend_stiffness_scaling(test: str) -> Iterator[Check]:
@@ -228,15 +253,23 @@ def bend_stiffness_scaling(test: str) -> Iterator[Check]:
         expected = density * GRAVITY * length**4 / 8.0
         tip = solver.positions[0, -1]
         yield Check(
-            test=test, what=f"drop times EI, EI = {stiffness:.3g} N m^2 [N m^3]", equation="w L^4 / 8",
-            expected=expected, measured=-tip[2].item() * stiffness,
+            test=test,
+            what=f"drop times EI, EI = {stiffness:.3g} N m^2 [N m^3]",
+            equation="w L^4 / 8",
+            expected=expected,
+            measured=-tip[2].item() * stiffness,
             tolerance=expected * ((segment / length) ** 2 + softening + gamma**2 / 80 + float_strain(dt, length)),
             why="(l/L)^2 of the hinges; softening of the sweep; nonlinearity (1.2 % at Gamma = 1); roundings",
-        )  # fmt: skip
+        )
         yield Check(
-            test=test, what=f"sideways motion of the tip, EI = {stiffness:.3g} N m^2 [m]", equation="0 by symmetry", expected=0.0,
-            measured=tip[1].abs().item(), tolerance=0.0, why="exact: no force has a component there",
-        )  # fmt: skip
+            test=test,
+            what=f"sideways motion of the tip, EI = {stiffness:.3g} N m^2 [m]",
+            equation="0 by symmetry",
+            expected=0.0,
+            measured=tip[1].abs().item(),
+            tolerance=0.0,
+            why="exact: no force has a component there",
+        )
 
 
 CASES = [

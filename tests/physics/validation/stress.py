@@ -26,10 +26,13 @@ def all_models(resolutions: tuple[int, ...]) -> list:
     """Return a rope and every outline, with and without a hole, at each resolution."""
     hole = [circle_outline(0.04, num_points=12)]
     outlines = [
-        (square_outline(0.3), hole), (rectangle_outline(0.4, 0.2), hole), (triangle_outline(0.45), hole),
-        (hexagon_outline(0.2), hole), (circle_outline(0.17), hole),
+        (square_outline(0.3), hole),
+        (rectangle_outline(0.4, 0.2), hole),
+        (triangle_outline(0.45), hole),
+        (hexagon_outline(0.2), hole),
+        (circle_outline(0.17), hole),
         (l_shape_outline(0.4), [circle_outline(0.03, (-0.1, -0.1), 12)]),
-    ]  # fmt: skip
+    ]
     models = []
     for num_nodes in resolutions:
         models.append(rope([[-0.3, 0, 0], [0.0, 0.1, 0], [0.3, 0, 0]], num_nodes=max(20, min(num_nodes, 120))))
