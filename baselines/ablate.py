@@ -26,9 +26,9 @@ from launchers import Launcher, LocalLauncher, SlurmLauncher
 from progress_table import ProgressTable, job_line
 from study_jobs import RUNS, Job, first_error, make_expert_jobs, make_jobs
 
-from maniskill_grpd.evaluation import STUDIES, Study, find_study
-from maniskill_grpd.evaluation.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
-from maniskill_grpd.evaluation.results import save_runs
+from maniskill_grpd.experiments import STUDIES, Study, find_study
+from maniskill_grpd.experiments.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
+from maniskill_grpd.experiments.results import save_runs
 from maniskill_grpd.learning.config import parse_options, require_positive
 
 POLL_SECONDS = 0.5

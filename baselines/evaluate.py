@@ -21,7 +21,7 @@ from checkpoint_card import write_card
 from record_video import record_video
 from run_setup import check_schema, describe_episodes, load_policy, make_env
 
-from maniskill_grpd.evaluation import NoisyObserver
+from maniskill_grpd.experiments import NoisyObserver
 from maniskill_grpd.learning import CheckpointError, TrainConfig, evaluate_policy
 from maniskill_grpd.learning.config import require_positive
 from maniskill_grpd.policies import Policy

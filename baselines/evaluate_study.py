@@ -20,9 +20,9 @@ import tyro
 from evaluate import EvalConfig, play, task_config
 from run_setup import load_policy
 
-from maniskill_grpd.evaluation import Condition, Study, Task, find_study
-from maniskill_grpd.evaluation.records import TEST_FOLDER
-from maniskill_grpd.evaluation.study import to_pairs
+from maniskill_grpd.experiments import Condition, Study, Task, find_study
+from maniskill_grpd.experiments.records import TEST_FOLDER
+from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import CheckpointError, TrainConfig
 from maniskill_grpd.policies import Policy
 

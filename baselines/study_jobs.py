@@ -19,9 +19,9 @@ from typing import Literal
 from evaluate_study import is_played
 from run_setup import to_arguments
 
-from maniskill_grpd.evaluation import Run, Study
-from maniskill_grpd.evaluation.records import TEST_FOLDER
-from maniskill_grpd.evaluation.study import AS_TRAINED, EXPERT, expert_run, to_pairs
+from maniskill_grpd.experiments import Run, Study
+from maniskill_grpd.experiments.records import TEST_FOLDER
+from maniskill_grpd.experiments.study import AS_TRAINED, EXPERT, expert_run, to_pairs
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS
 from maniskill_grpd.learning.run_log import read_rows
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maniskill_grpd.evaluation import bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments import bootstrap_interval, interquartile_mean
 from maniskill_grpd.learning.run_log import read_rows
 
 COLLAPSE = 0.8

@@ -14,14 +14,14 @@ ALLOWED = {
     "graphs": {"graphs"},
     "policies": {"policies", "graphs"},
     "learning": {"learning", "graphs", "policies"},
-    "evaluation": {"evaluation", "learning", "graphs", "policies"},
+    "experiments": {"experiments", "learning", "graphs", "policies"},
     "agents": {"agents", "physics"},
     "tasks": {"tasks", "agents", "graphs", "physics"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"tasks"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
-FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning", "evaluation"}
+FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning", "experiments"}
 
 
 def imported_modules(path: Path) -> set[str]:
@@ -43,7 +43,7 @@ def test_packages_import_only_what_lies_below_them(package):
                 assert parts[1] in ALLOWED[package] | {"version"}, f"{path} imports {module}"
             if package in FREE_OF_SIMULATOR:
                 assert parts[0] not in SIMULATOR, f"{path} imports {module}"
-            if package in {"policies", "learning", "graphs", "evaluation"}:
+            if package in {"policies", "learning", "graphs", "experiments"}:
                 assert parts[0] != "warp", f"{path} imports {module}"
 
 
@@ -60,7 +60,7 @@ def test_policies_and_learning_import_without_the_simulator():
         "u.find_spec = lambda name, *a: None if name == 'mani_skill' else find(name, *a)\n"
         "for name in ('mani_skill', 'sapien'): sys.modules[name] = None\n"
         "import maniskill_grpd.physics, maniskill_grpd.graphs, maniskill_grpd.policies, maniskill_grpd.learning\n"
-        "import maniskill_grpd.evaluation.pages\n"
+        "import maniskill_grpd.experiments.pages\n"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -23,8 +23,8 @@ import study_jobs
 from run_setup import to_arguments
 from study_jobs import RUNS, Job
 
-from maniskill_grpd.evaluation import STUDIES, Arm, Condition, Run, Study, Task
-from maniskill_grpd.evaluation.study import to_pairs
+from maniskill_grpd.experiments import STUDIES, Arm, Condition, Run, Study, Task
+from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import load_checkpoint
 
 SCRIPT = Path(ablate.__file__)

@@ -6,8 +6,8 @@ pytest.importorskip("mani_skill")
 
 from run_setup import make_env
 
-from maniskill_grpd.evaluation import STUDIES
-from maniskill_grpd.evaluation.study import to_pairs
+from maniskill_grpd.experiments import STUDIES
+from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import TrainConfig
 
 LARGEST = 400

@@ -6,11 +6,11 @@ import pytest
 from matplotlib.image import imread
 from synthetic_results import EASY, HARD, OURS, STUDY, THEIRS, results_of, run_of, write_results
 
-from maniskill_grpd.evaluation import STUDIES
-from maniskill_grpd.evaluation.pages import write_study_page, write_summary_page
-from maniskill_grpd.evaluation.results import Results
-from maniskill_grpd.evaluation.study_data import StudyData
-from maniskill_grpd.evaluation.tables import claim_table, format_summary, score_table
+from maniskill_grpd.experiments import STUDIES
+from maniskill_grpd.experiments.pages import write_study_page, write_summary_page
+from maniskill_grpd.experiments.results import Results
+from maniskill_grpd.experiments.study_data import StudyData
+from maniskill_grpd.experiments.tables import claim_table, format_summary, score_table
 
 SEEDS = (1, 2, 3)
 

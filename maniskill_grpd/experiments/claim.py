@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from maniskill_grpd.evaluation.statistics import Interval, interquartile_mean, probability_of_improvement, resampled_interval
+from maniskill_grpd.experiments.statistics import Interval, interquartile_mean, probability_of_improvement, resampled_interval
 
 Verdict = Literal["holds", "does not hold", "undecided", "not run"]
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from maniskill_grpd.evaluation.claim import Claim
+from maniskill_grpd.experiments.claim import Claim
 from maniskill_grpd.learning import TrainConfig
 
 Options = Mapping[str, Any]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maniskill_grpd.evaluation.statistics import bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments.statistics import bootstrap_interval, interquartile_mean
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from maniskill_grpd.evaluation.curves import Curve, mean_over_training
+from maniskill_grpd.experiments.curves import Curve, mean_over_training
 from maniskill_grpd.learning.run_log import read_rows
 
 Row = dict[str, Any]

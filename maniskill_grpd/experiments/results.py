@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from maniskill_grpd.evaluation.curves import Curve
-from maniskill_grpd.evaluation.records import Row, curve_rows, run_row, test_rows
-from maniskill_grpd.evaluation.study import Run
+from maniskill_grpd.experiments.curves import Curve
+from maniskill_grpd.experiments.records import Row, curve_rows, run_row, test_rows
+from maniskill_grpd.experiments.study import Run
 
 FILES = {"runs": ("run",), "tests": ("run", "condition"), "curves": ("run", "step")}
 """Tables and what tells their rows apart."""

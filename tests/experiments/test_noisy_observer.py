@@ -4,7 +4,7 @@ import pytest
 import torch
 from random_graphs import SCHEMA, make_graph
 
-from maniskill_grpd.evaluation import NoisyObserver
+from maniskill_grpd.experiments import NoisyObserver
 from maniskill_grpd.policies import make_policy
 
 

@@ -5,15 +5,15 @@ folders `records` reads into the rows of `results`; `study_data` picks what answ
 `tables`, `plots` and `pages` show it.
 """
 
-from maniskill_grpd.evaluation.noisy_observer import NoisyObserver
-from maniskill_grpd.evaluation.statistics import (
+from maniskill_grpd.experiments.noisy_observer import NoisyObserver
+from maniskill_grpd.experiments.statistics import (
     bootstrap_interval,
     interquartile_mean,
     performance_profile,
     probability_of_improvement,
 )
-from maniskill_grpd.evaluation.studies import STUDIES, find_study
-from maniskill_grpd.evaluation.study import Arm, Condition, Run, Study, Task
+from maniskill_grpd.experiments.studies import STUDIES, find_study
+from maniskill_grpd.experiments.study import Arm, Condition, Run, Study, Task
 
 __all__ = [
     "STUDIES",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic_results import STUDY
 
-from maniskill_grpd.evaluation.claim import Claim, Side, judge
+from maniskill_grpd.experiments.claim import Claim, Side, judge
 
 GAIN = Claim(text="", source="", paper="", measure="gain", metric="return", ours=Side("a"), theirs=Side("b"), at_least=0.0)
 

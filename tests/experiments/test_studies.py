@@ -6,10 +6,10 @@ import itertools
 import pytest
 from random_graphs import SCHEMA
 
-from maniskill_grpd.evaluation import STUDIES, Arm, Condition, Run, Task, find_study
-from maniskill_grpd.evaluation.metrics import METRICS
-from maniskill_grpd.evaluation.plots import PLOTS
-from maniskill_grpd.evaluation.study import combine, to_pairs, with_noise, with_option
+from maniskill_grpd.experiments import STUDIES, Arm, Condition, Run, Task, find_study
+from maniskill_grpd.experiments.metrics import METRICS
+from maniskill_grpd.experiments.plots import PLOTS
+from maniskill_grpd.experiments.study import combine, to_pairs, with_noise, with_option
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.policies import make_policy
 

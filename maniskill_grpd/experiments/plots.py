@@ -15,11 +15,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-from maniskill_grpd.evaluation.curves import efficiency_band
-from maniskill_grpd.evaluation.metrics import METRICS
-from maniskill_grpd.evaluation.statistics import performance_profile
-from maniskill_grpd.evaluation.study import EXPERT, Arm, Condition, Task
-from maniskill_grpd.evaluation.study_data import BOOTSTRAP_SEED, StudyData, conditions_of
+from maniskill_grpd.experiments.curves import efficiency_band
+from maniskill_grpd.experiments.metrics import METRICS
+from maniskill_grpd.experiments.statistics import performance_profile
+from maniskill_grpd.experiments.study import EXPERT, Arm, Condition, Task
+from maniskill_grpd.experiments.study_data import BOOTSTRAP_SEED, StudyData, conditions_of
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
 """Okabe and Ito's colours, which people with colour blindness can tell apart, in the order of a study's arms."""

@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import get_args
 
-from maniskill_grpd.evaluation.claim import MIN_RUNS, Verdict
-from maniskill_grpd.evaluation.metrics import METRICS
-from maniskill_grpd.evaluation.plots import PLOTS
-from maniskill_grpd.evaluation.results import load_results
-from maniskill_grpd.evaluation.studies import STUDIES
-from maniskill_grpd.evaluation.study import Study
-from maniskill_grpd.evaluation.study_data import StudyData
-from maniskill_grpd.evaluation.tables import NOT_RUN, claim_table, markdown_table, score_table
+from maniskill_grpd.experiments.claim import MIN_RUNS, Verdict
+from maniskill_grpd.experiments.metrics import METRICS
+from maniskill_grpd.experiments.plots import PLOTS
+from maniskill_grpd.experiments.results import load_results
+from maniskill_grpd.experiments.studies import STUDIES
+from maniskill_grpd.experiments.study import Study
+from maniskill_grpd.experiments.study_data import StudyData
+from maniskill_grpd.experiments.tables import NOT_RUN, claim_table, markdown_table, score_table
 
 DATA_FOLDER = "data"
 """Folder of the CSV files, beside the pages."""

@@ -5,8 +5,8 @@ import json
 import pytest
 from synthetic_results import EASY, OURS, run_of
 
-from maniskill_grpd.evaluation.records import training_metrics
-from maniskill_grpd.evaluation.results import load_results, save_runs
+from maniskill_grpd.experiments.records import training_metrics
+from maniskill_grpd.experiments.results import load_results, save_runs
 
 RUN = run_of(EASY, OURS)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maniskill_grpd.evaluation import bootstrap_interval, interquartile_mean, performance_profile, probability_of_improvement
+from maniskill_grpd.experiments import bootstrap_interval, interquartile_mean, performance_profile, probability_of_improvement
 
 
 def generator():

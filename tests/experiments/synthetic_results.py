@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from maniskill_grpd.evaluation import Arm, Condition, Study, Task
-from maniskill_grpd.evaluation.claim import Claim, Side
-from maniskill_grpd.evaluation.results import Results
-from maniskill_grpd.evaluation.study import AS_TRAINED, Run
+from maniskill_grpd.experiments import Arm, Condition, Study, Task
+from maniskill_grpd.experiments.claim import Claim, Side
+from maniskill_grpd.experiments.results import Results
+from maniskill_grpd.experiments.study import AS_TRAINED, Run
 
 NOISY = Condition(sigma=0.1, factors={"sigma": 0.1})
 EASY = Task(env_id="Easy-v1", options={"resolution": 10}, conditions=(AS_TRAINED, NOISY))

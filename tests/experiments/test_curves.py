@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maniskill_grpd.evaluation.curves import Curve, efficiency_band, mean_over_training
+from maniskill_grpd.experiments.curves import Curve, efficiency_band, mean_over_training
 
 
 def curve(steps, scores):

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from maniskill_grpd.evaluation.claim import Claim, Finding
-from maniskill_grpd.evaluation.metrics import METRICS
-from maniskill_grpd.evaluation.statistics import Interval
-from maniskill_grpd.evaluation.study import AS_TRAINED, EXPERT, Arm, Task
-from maniskill_grpd.evaluation.study_data import StudyData, conditions_of, summarize
+from maniskill_grpd.experiments.claim import Claim, Finding
+from maniskill_grpd.experiments.metrics import METRICS
+from maniskill_grpd.experiments.statistics import Interval
+from maniskill_grpd.experiments.study import AS_TRAINED, EXPERT, Arm, Task
+from maniskill_grpd.experiments.study_data import StudyData, conditions_of, summarize
 
 NOT_RUN = "not run"
 FAILED = "failed"

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from maniskill_grpd.evaluation.claim import Claim, Finding, Side, judge
-from maniskill_grpd.evaluation.curves import Curve
-from maniskill_grpd.evaluation.results import Results
-from maniskill_grpd.evaluation.statistics import Interval, bootstrap_interval, interquartile_mean
-from maniskill_grpd.evaluation.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task, expert_run
+from maniskill_grpd.experiments.claim import Claim, Finding, Side, judge
+from maniskill_grpd.experiments.curves import Curve
+from maniskill_grpd.experiments.results import Results
+from maniskill_grpd.experiments.statistics import Interval, bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task, expert_run
 
 BOOTSTRAP_SEED = 0
 """Every interval starts from this seed, so that a page written twice from the same data is the same."""

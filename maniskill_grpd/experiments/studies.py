@@ -6,8 +6,8 @@ studies share, such as GRPD under BPP, are run once.
 
 from __future__ import annotations
 
-from maniskill_grpd.evaluation.claim import Claim, Side
-from maniskill_grpd.evaluation.study import AS_TRAINED, Arm, Condition, Study, Task, combine, with_noise, with_option
+from maniskill_grpd.experiments.claim import Claim, Side
+from maniskill_grpd.experiments.study import AS_TRAINED, Arm, Condition, Study, Task, combine, with_noise, with_option
 
 ROPE_SHAPING = Task(env_id="RopeShaping-v1", options={"resolution": 41, "graph_nodes": 21})
 ROPE_WRAPPING = Task(env_id="RopeWrapping-v1", options={"resolution": 41, "graph_nodes": 21})
