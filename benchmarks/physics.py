@@ -27,7 +27,7 @@ from machine import describe_machine, machine_line, measure_peaks
 from physics_cost import count_work
 
 from maniskill_grpd.physics import Model, Solver, cloth, rope, square_outline
-from maniskill_grpd.physics.lanes import WIDTH
+from maniskill_grpd.physics.kernels.lanes import WIDTH
 
 MAX_STEP = 0.03
 SLOW = 5.0  # a configuration that would take longer than this [s] for one control step is not measured

@@ -7,9 +7,8 @@ nothing of gymnasium or ManiSkill.
 
 from maniskill_grpd.physics.cloth import ClothMaterial, cloth
 from maniskill_grpd.physics.colliders import Collider, box, capsule, cylinder, plane, prism, sphere, triangle_mesh
-from maniskill_grpd.physics.curves import resample_polyline
-from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.outlines import (
+from maniskill_grpd.physics.mesh.curves import resample_polyline
+from maniskill_grpd.physics.mesh.outlines import (
     circle_outline,
     hexagon_outline,
     l_shape_outline,
@@ -17,6 +16,7 @@ from maniskill_grpd.physics.outlines import (
     square_outline,
     triangle_outline,
 )
+from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.rope import RopeMaterial, rope
 from maniskill_grpd.physics.solver import Solver
 from maniskill_grpd.physics.world_state import STANDARD_GRAVITY

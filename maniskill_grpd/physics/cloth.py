@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 import trimesh
 
-from maniskill_grpd.physics.elastic_fit import fit_stiffness, quartic_coefficients
+from maniskill_grpd.physics.mesh.distances import distances_in_sheet
+from maniskill_grpd.physics.mesh.fit import fit_stiffness, quartic_coefficients
+from maniskill_grpd.physics.mesh.outlines import check_holes, check_polygon
+from maniskill_grpd.physics.mesh.triangulation import PlanarMesh, triangulate
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.outlines import check_holes, check_polygon
-from maniskill_grpd.physics.sheet_distances import distances_in_sheet
-from maniskill_grpd.physics.triangulation import PlanarMesh, triangulate
 
 MIN_NODES, MAX_NODES = 4, 2500
 # Two triangles form nearly a rectangle, and get a spring across, if its diagonals differ by less than this factor.
@@ -68,7 +68,7 @@ def cloth(
     """Build a cloth that lies flat in the plane z = 0.
 
     Masses are lumped, a third of each triangle's mass to each of its nodes. Stretch springs and bending hinges are fitted to the
-    material on this mesh (see `elastic_fit`), so a finer mesh is the same cloth.
+    material on this mesh (see `mesh.fit`), so a finer mesh is the same cloth.
 
     Node sets: "corners" in the order of the outline (the four extreme points of a smooth one), "boundary", "edge_0" ... between
     successive corners, "hole" (the boundaries of all holes), "hole_0" ...

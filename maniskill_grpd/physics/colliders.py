@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from maniskill_grpd.physics.outlines import check_polygon
+from maniskill_grpd.physics.mesh.outlines import check_polygon
 
 MAX_POLYGON_VERTICES = 16
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from maniskill_grpd.physics.lines import group_into_lines
+from maniskill_grpd.physics.mesh.lines import group_into_lines
 
 
 @dataclass(frozen=True, kw_only=True)

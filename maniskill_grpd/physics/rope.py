@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from maniskill_grpd.physics.curves import polyline_length, resample_polyline
+from maniskill_grpd.physics.mesh.curves import polyline_length, resample_polyline
 from maniskill_grpd.physics.model import Model
 
 COARSEST_SUBSTEPS = 20

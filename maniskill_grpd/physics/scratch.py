@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import torch
 import warp as wp
 
-from maniskill_grpd.physics.contact_search_functions import BLOCK
-from maniskill_grpd.physics.kernel_data import LaneGroups, SelfContacts, SingleGroups, Touch
-from maniskill_grpd.physics.lanes import WIDTH, Numbers, Vectors
+from maniskill_grpd.physics.kernels.contact_search import BLOCK
+from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Touch
+from maniskill_grpd.physics.kernels.lanes import WIDTH, Numbers, Vectors
+from maniskill_grpd.physics.kernels.self_contact import MAX_CONTACTS_PER_NODE, SLOTS
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.self_contact_functions import MAX_CONTACTS_PER_NODE, SLOTS
 
 
 class WorldGroups:

@@ -10,8 +10,8 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernel_data import Worlds
-from maniskill_grpd.physics.kernels import build_step_kernel
+from maniskill_grpd.physics.kernels.data import Worlds
+from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch

@@ -9,8 +9,8 @@ import numpy as np
 import warp as wp
 
 from maniskill_grpd.physics.colliders import MAX_POLYGON_VERTICES, Collider
-from maniskill_grpd.physics.coloring import color_constraints
-from maniskill_grpd.physics.kernel_data import Features, Objects, Obstacles
+from maniskill_grpd.physics.kernels.data import Features, Objects, Obstacles
+from maniskill_grpd.physics.mesh.coloring import color_constraints
 from maniskill_grpd.physics.model import Model
 
 # Parts of an object that are closer through the material than this many radii plus edges do not collide with each other.

@@ -11,7 +11,7 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Model, cloth
-from maniskill_grpd.physics.outlines import signed_area
+from maniskill_grpd.physics.mesh.outlines import signed_area
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.geometry.crease import (

@@ -15,7 +15,7 @@ from maniskill_grpd.physics import (
     square_outline,
     triangle_outline,
 )
-from maniskill_grpd.physics.elastic_fit import quartic_coefficients
+from maniskill_grpd.physics.mesh.fit import quartic_coefficients
 
 OUTLINES = {
     "square": (square_outline(0.4), circle_outline(0.06), 4),

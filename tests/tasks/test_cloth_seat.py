@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from maniskill_grpd.physics import circle_outline, cloth, hexagon_outline, rectangle_outline, square_outline, triangle_outline
-from maniskill_grpd.physics.outlines import distance_to
+from maniskill_grpd.physics.mesh.outlines import distance_to
 from maniskill_grpd.tasks.geometry.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
 from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES, cloth_outline
 

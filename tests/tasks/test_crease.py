@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maniskill_grpd.physics import cloth
-from maniskill_grpd.physics.outlines import distance_to, signed_area
+from maniskill_grpd.physics.mesh.outlines import distance_to, signed_area
 from maniskill_grpd.tasks import CLOTH_SHAPES
 from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline
 from maniskill_grpd.tasks.geometry.crease import (

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from maniskill_grpd.physics import Model, circle_outline
-from maniskill_grpd.physics.outlines import contains, distance_to
+from maniskill_grpd.physics.mesh.outlines import contains, distance_to
 from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline
 
 HOLE_RADII = (0.03, 0.1)

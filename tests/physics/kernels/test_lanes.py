@@ -3,7 +3,7 @@
 import numpy as np
 import warp as wp
 
-from maniskill_grpd.physics.lanes import (  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
     WIDTH,
     Numbers,
     Vectors,

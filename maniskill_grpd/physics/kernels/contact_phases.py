@@ -4,8 +4,9 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.block import synchronize_block
-from maniskill_grpd.physics.contact_search_functions import (
+from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.collider_contacts import project_colliders, project_edge
+from maniskill_grpd.physics.kernels.contact_search import (
     BLOCK,
     bound_block,
     bound_element,
@@ -14,10 +15,9 @@ from maniskill_grpd.physics.contact_search_functions import (
     register_contacts,
     sort_contacts,
 )
-from maniskill_grpd.physics.kernel_data import Objects, Obstacles, SelfContacts, Touch, Worlds
-from maniskill_grpd.physics.lanes import pick, put
-from maniskill_grpd.physics.obstacle_functions import project_colliders, project_edge
-from maniskill_grpd.physics.self_contact_functions import SLOTS, compute_contact_impulse, gather_contact_impulses
+from maniskill_grpd.physics.kernels.data import Objects, Obstacles, SelfContacts, Touch, Worlds
+from maniskill_grpd.physics.kernels.lanes import pick, put
+from maniskill_grpd.physics.kernels.self_contact import SLOTS, compute_contact_impulse, gather_contact_impulses
 
 
 @wp.func

@@ -1,27 +1,14 @@
-"""Projections of the constraints inside an object, called by the fused kernel for one constraint of one group of worlds.
-
-An impulse lambda * grad C moves a free node by weight * impulse; a held node has weight 0 and stays, and the impulse is added to
-its reaction, from which the force on its gripper follows.
-"""
+"""Projection of the stretch constraints of a line of nodes in a group of worlds, called by the fused kernel."""
 
 from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.lanes import add, any_positive, choose, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.impulses import push_node
+from maniskill_grpd.physics.kernels.lanes import add, choose, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Factor on the compliance of edges that have given way to compression.
 WRINKLE_SOFTENING = wp.constant(100.0)
-
-
-@wp.func
-def push_node(group: int, node: int, impulse: Any, groups: Any):
-    """Apply an impulse: x <- x + w * impulse for a free node, the gripper's reaction otherwise."""
-    weight = groups.weights[group, node]
-    groups.positions[group, node] = groups.positions[group, node] + impulse * weight
-    if not groups.is_free[group, node]:
-        reaction = groups.reactions[group, node]
-        groups.reactions[group, node] = choose(weight, reaction, reaction + impulse)
 
 
 @wp.func
@@ -186,56 +173,3 @@ def straighten_line(
         if k > 0:
             point = groups.straightened[group, k] + point * groups.upper[group, k - 1]
         groups.straightened[group, k] = choose(excess, point, groups.positions[group, line_nodes[first_node + k]])
-
-
-@wp.func
-def project_bend(group: int, bend: wp.vec3i, compliance: float, groups: Any):
-    """Project the vector constraint C = x_p - 2 x_m + x_n, which is linear in the positions."""
-    p = bend[0]
-    m = bend[1]
-    n = bend[2]
-    w_p = groups.weights[group, p]
-    w_m = groups.weights[group, m]
-    w_n = groups.weights[group, n]
-    curvature = groups.positions[group, p] - groups.positions[group, m] * 2.0 + groups.positions[group, n]
-    correction = curvature / (w_p + w_m * 4.0 + w_n + groups.bend_rates[group, 0] * compliance)
-    push_node(group, p, correction * -1.0, groups)
-    push_node(group, m, correction * 2.0, groups)
-    push_node(group, n, correction * -1.0, groups)
-
-
-@wp.func
-def project_hinge(group: int, nodes: wp.vec4i, c: wp.vec4, compliance: float, groups: Any):
-    """Project the vector constraint C = sum_k c_k x_k: lambda = -C / (sum_k w_k c_k^2 + compliance / dt^2)."""
-    curvature = groups.positions[group, nodes[0]] * c[0]
-    inverse_mass = groups.weights[group, nodes[0]] * (c[0] * c[0])
-    for k in range(1, 4):
-        curvature = curvature + groups.positions[group, nodes[k]] * c[k]
-        inverse_mass = inverse_mass + groups.weights[group, nodes[k]] * (c[k] * c[k])
-    share = spread(inverse_mass, -1.0) / (inverse_mass + groups.bend_rates[group, 0] * compliance)
-    impulse = curvature * share
-    for k in range(4):
-        push_node(group, nodes[k], impulse * c[k], groups)
-
-
-@wp.func
-def project_tethers(group: int, node: int, groups: Any):
-    """Project C = |x_i - x_g| - length_ig <= 0 towards every node g that a gripper holds (Kim et al. 2012).
-
-    They carry the pull of a gripper through the whole cloth within one substep. Slack, they do nothing.
-    """
-    weight = groups.weights[group, node]
-    if any_positive(weight):
-        for gripper in range(groups.has_tethers.shape[1]):
-            if groups.has_tethers[group, gripper]:
-                x = groups.positions[group, node]
-                difference = groups.tether_ends[group, gripper] - x
-                distance2 = inner(difference, difference)
-                length = groups.tether_lengths[gripper, group, node]
-                excess2 = choose(weight, distance2 - length * length, spread(weight, 0.0))
-                if any_positive(excess2):
-                    distance = root(distance2)
-                    move = difference * ((distance - length) / distance)
-                    groups.positions[group, node] = choose(excess2, x + move, x)
-                    impulse = groups.tether_impulses[gripper, group, node]
-                    groups.tether_impulses[gripper, group, node] = choose(excess2, impulse - move / weight, impulse)

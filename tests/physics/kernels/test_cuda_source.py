@@ -5,8 +5,8 @@ import sys
 import pytest
 import warp as wp
 
-from maniskill_grpd.physics.kernel_data import Features
-from maniskill_grpd.physics.kernels import build_step_kernel
+from maniskill_grpd.physics.kernels.data import Features
+from maniskill_grpd.physics.kernels.step import build_step_kernel
 
 EVERYTHING = Features(ropes=True, bends=True, hinges=True, tethers=True, colliders=True, self_contact=True)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from maniskill_grpd.physics.outlines import segments_cross, signed_area
+from maniskill_grpd.physics.mesh.outlines import segments_cross, signed_area
 
 STRAIGHT = 1e-6
 

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from maniskill_grpd.physics.collider_functions import MESH, signed_distance
-from maniskill_grpd.physics.kernel_data import Obstacles
+from maniskill_grpd.physics.kernels.colliders import MESH, signed_distance
+from maniskill_grpd.physics.kernels.data import Obstacles
 
 # A world is frozen when a coordinate is not finite or has left this range [m]: past it float32 cannot hold millimetres.
 POSITION_LIMIT = wp.constant(1.0e4)

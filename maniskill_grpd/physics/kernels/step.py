@@ -10,17 +10,9 @@ from functools import cache
 
 import warp as wp
 
-from maniskill_grpd.physics.block import synchronize_block
-from maniskill_grpd.physics.constraint_functions import (
-    eliminate_stretch_line,
-    measure_tautness,
-    project_bend,
-    project_hinge,
-    project_tethers,
-    push_stretch_line,
-    straighten_line,
-)
-from maniskill_grpd.physics.contact_phases import (
+from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.bending import project_bend, project_hinge
+from maniskill_grpd.physics.kernels.contact_phases import (
     add_reactions,
     find_self_contacts,
     prepare_touch,
@@ -29,8 +21,18 @@ from maniskill_grpd.physics.contact_phases import (
     put_into_lanes,
     take_out_of_lanes,
 )
-from maniskill_grpd.physics.gripper_functions import limit_gripper_targets, stop_grippers
-from maniskill_grpd.physics.group_functions import (
+from maniskill_grpd.physics.kernels.data import (
+    Features,
+    LaneGroups,
+    Objects,
+    Obstacles,
+    SelfContacts,
+    SingleGroups,
+    Touch,
+    Worlds,
+)
+from maniskill_grpd.physics.kernels.grippers import limit_gripper_targets, stop_grippers
+from maniskill_grpd.physics.kernels.groups import (
     is_idle,
     load_constants,
     load_node,
@@ -41,8 +43,9 @@ from maniskill_grpd.physics.group_functions import (
     store_world,
     sum_tethers,
 )
-from maniskill_grpd.physics.kernel_data import Features, LaneGroups, Objects, Obstacles, SelfContacts, SingleGroups, Touch, Worlds
-from maniskill_grpd.physics.lanes import any_positive, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lanes import any_positive, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.stretch import eliminate_stretch_line, measure_tautness, push_stretch_line, straighten_line
+from maniskill_grpd.physics.kernels.tethers import project_tethers
 
 wp.config.log_level = wp.LOG_WARNING  # no banner when a library is imported
 

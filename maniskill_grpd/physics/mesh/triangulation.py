@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from scipy.spatial import Delaunay
 
-from maniskill_grpd.physics.curves import resample_polyline
-from maniskill_grpd.physics.outlines import contains, corner_indices, distance_to, signed_area
+from maniskill_grpd.physics.mesh.curves import resample_polyline
+from maniskill_grpd.physics.mesh.outlines import contains, corner_indices, distance_to, signed_area
 
 MAX_DIVISIONS = 400
 SMOOTHING_SWEEPS = 12

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.colliders import ColliderKind
-from maniskill_grpd.physics.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)
+from maniskill_grpd.physics.kernels.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)
 
 PLANE = wp.constant(int(ColliderKind.PLANE))
 SPHERE = wp.constant(int(ColliderKind.SPHERE))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from maniskill_grpd.physics.lanes import Numbers, Vectors
+from maniskill_grpd.physics.kernels.lanes import Numbers, Vectors
 
 
 @dataclass(frozen=True)

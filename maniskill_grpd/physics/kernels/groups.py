@@ -4,11 +4,11 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.block import synchronize_block
-from maniskill_grpd.physics.collider_functions import resolve_contact
-from maniskill_grpd.physics.gripper_functions import is_valid
-from maniskill_grpd.physics.kernel_data import Worlds
-from maniskill_grpd.physics.lanes import add, any_positive, choose, div, inner, mul, pick, put, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.colliders import resolve_contact
+from maniskill_grpd.physics.kernels.data import Worlds
+from maniskill_grpd.physics.kernels.grippers import is_valid
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, pick, put, spread, sub  # noqa: F401 (operators on lanes)
 
 # Length of the tether of a gripper that holds nothing [m].
 NO_TETHER = wp.constant(1.0e9)

@@ -6,7 +6,7 @@ is far away as a whole. Every owner writes into its own slots only.
 
 import warp as wp
 
-from maniskill_grpd.physics.self_contact_functions import MAX_CONTACTS_PER_NODE, SLOTS, barycentric_gap, closest_weights, facing
+from maniskill_grpd.physics.kernels.self_contact import MAX_CONTACTS_PER_NODE, SLOTS, barycentric_gap, closest_weights, facing
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)

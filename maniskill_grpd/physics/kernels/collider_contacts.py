@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from maniskill_grpd.physics.collider_functions import closest_on_edge, project_collider
-from maniskill_grpd.physics.kernel_data import Obstacles, Touch
+from maniskill_grpd.physics.kernels.colliders import closest_on_edge, project_collider
+from maniskill_grpd.physics.kernels.data import Obstacles, Touch
 
 
 @wp.func
