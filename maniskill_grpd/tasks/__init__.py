@@ -5,6 +5,7 @@ from maniskill_grpd.tasks.cloth_hanging import ClothHangingEnv
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES
 from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.rope_shaping import RopeShapingEnv
 from maniskill_grpd.tasks.rope_wrapping import RopeWrappingEnv
 
@@ -14,6 +15,7 @@ __all__ = [
     "ClothFoldingEnv",
     "ClothHangingEnv",
     "DeformableEnv",
+    "Metric",
     "RopeShapingEnv",
     "RopeWrappingEnv",
     "goal_curve",

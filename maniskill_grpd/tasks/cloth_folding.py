@@ -24,6 +24,7 @@ from maniskill_grpd.tasks.geometry.crease import (
     side_directions,
     signed_distances,
 )
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
 from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
@@ -98,6 +99,7 @@ class ClothFoldingEnv(DeformableEnv):
     DEFAULT_NUM_GRIPPERS = 2
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     SELF_COLLISION = True
+    PROGRESS = Metric("fold_distance", "m")
     OBJECT_CHANNELS = (
         channels.VELOCITY,
         channels.GOAL_OFFSET,

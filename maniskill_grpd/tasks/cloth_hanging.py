@@ -19,6 +19,7 @@ from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
@@ -86,6 +87,7 @@ class ClothHangingEnv(DeformableEnv):
     DEFAULT_NUM_GRIPPERS = 4
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     HAS_TABLE = False
+    PROGRESS = Metric("way_to_hanger", "m")
     OBJECT_CHANNELS = (channels.VELOCITY, HANGER_OFFSET, HANGER_AXIS, HANGER_DISTANCE, SEAT, channels.CORNER, channels.HELD)
     GRIPPER_CHANNELS = (
         channels.VELOCITY,
@@ -246,7 +248,13 @@ class ClothHangingEnv(DeformableEnv):
         success = self.hanging.is_hung & ~fail
         if self.release:
             success = success & (self._open_steps >= self.OPEN_STEPS)
-        return {"success": success, "fail": fail, "is_hung": self.hanging.is_hung, **self.hanging.measures}
+        return {
+            "success": success,
+            "fail": fail,
+            "is_hung": self.hanging.is_hung,
+            "way_to_hanger": self.hanging.way,
+            **self.hanging.measures,
+        }
 
     def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
         """Return rewards in [0, 1], (B,); 0 after a failure."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import sapien
@@ -15,6 +15,7 @@ from mani_skill.utils.structs.types import SimConfig
 
 from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
@@ -29,9 +30,6 @@ from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.worlds.restorable_worlds import RestorableWorlds
-
-if TYPE_CHECKING:
-    pass
 
 POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
@@ -93,6 +91,8 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
     """Whether there is a table, at z = 0."""
     SELF_COLLISION = False
     """Whether the object collides with itself."""
+    PROGRESS: Metric
+    """The number in `info` that tells best how near a task is to being done, for curves and summaries."""
     OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
 

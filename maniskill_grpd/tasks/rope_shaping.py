@@ -12,6 +12,7 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.physics import Model, rope
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import max_over_nodes, mean_over_nodes
 from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
@@ -59,6 +60,7 @@ class RopeShapingEnv(DeformableEnv):
     GRIPPER_COUNTS = tuple(GRIPPER_ARCS)
     DEFAULT_NUM_GRIPPERS = 4
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
+    PROGRESS = Metric("mean_distance", "m")
     OBJECT_CHANNELS = (
         channels.VELOCITY,
         channels.GOAL_OFFSET,

@@ -16,6 +16,7 @@ from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.post_leash import limit_around_post
 from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT, POSTS
 from maniskill_grpd.tasks.geometry.winding import angles_between, turning_angles, winding_number
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
 from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
@@ -75,6 +76,7 @@ class RopeWrappingEnv(DeformableEnv):
     GRIPPER_COUNTS = (2,)
     DEFAULT_NUM_GRIPPERS = 2
     SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
+    PROGRESS = Metric("winding", "")
     OBJECT_CHANNELS = (channels.VELOCITY, *POST_CHANNELS, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS = (
         channels.VELOCITY,

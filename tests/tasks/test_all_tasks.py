@@ -106,6 +106,13 @@ def test_image_modes_give_images(make, obs_mode):
     env.close()
 
 
+def test_the_progress_metric_is_in_info(make):
+    env = make()
+    progress, info = env.unwrapped.PROGRESS, env.step(None)[4]
+    assert info[progress.name].shape == (3,)
+    assert info[progress.name].dtype == torch.float32
+
+
 def test_reward_modes_agree(make):
     rewards = {}
     for mode in ("normalized_dense", "dense", "sparse", "none"):
