@@ -1,4 +1,4 @@
-"""Bounded Policy Projection: a policy gradient through a KL trust-region projection (paper II-E)."""
+"""Bounded Policy Projection: a policy gradient through a KL trust-region projection (section II.E)."""
 
 from __future__ import annotations
 

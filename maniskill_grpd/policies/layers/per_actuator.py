@@ -9,7 +9,7 @@ from torch import nn
 
 
 class PerActuator(nn.Module):
-    r"""One decoder MLP_v per place in the list of actuators (Appendix A-D.6).
+    r"""One decoder MLP_v per place in the list of actuators (section A.D.6).
 
         out_i = MLP_i(h_i, V_i),  i = 0 ... A - 1
 
