@@ -4,7 +4,7 @@ from maniskill_grpd.learning.checkpoint import CheckpointError, load_checkpoint,
 from maniskill_grpd.learning.config import TrainConfig
 from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.finite import NonFiniteError
-from maniskill_grpd.learning.projection import gaussian_kl_parts, project_gaussian
+from maniskill_grpd.learning.projection import project_gaussian
 from maniskill_grpd.learning.trainer import Trainer
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "TrainConfig",
     "Trainer",
     "evaluate_policy",
-    "gaussian_kl_parts",
     "load_checkpoint",
     "project_gaussian",
     "save_checkpoint",

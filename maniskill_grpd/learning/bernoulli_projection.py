@@ -15,7 +15,7 @@ import math
 
 import torch
 
-from maniskill_grpd.policies.distribution import bernoulli_kl
+from maniskill_grpd.policies.divergence import bernoulli_kl
 
 _MAX_ROOT_STEPS = 80
 """More than bisection alone needs in float64; Newton steps end it after about eight."""

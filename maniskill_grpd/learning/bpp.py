@@ -12,8 +12,8 @@ from maniskill_grpd.learning.config import Coefficients
 from maniskill_grpd.learning.entropy_floor import raise_entropy
 from maniskill_grpd.learning.projection import project_unchecked
 from maniskill_grpd.learning.rollout import Batch
-from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, detached, kl_metrics, kl_parts, old_distribution
-from maniskill_grpd.learning.update import FirstOrderAlgorithm
+from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
+from maniskill_grpd.learning.update import FirstOrderAlgorithm, Metrics
 from maniskill_grpd.policies import ActionDistribution
 
 
@@ -45,12 +45,11 @@ class BPP(FirstOrderAlgorithm):
         super().adopt(coefficients)
         self.entropy_floor = coefficients.entropy_floor
 
-    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""
-        projected = self.project(dist, old_distribution(dist, batch))
         log_ratio = projected.log_prob(batch.actions) - batch.log_probs
         surrogate_loss = -(log_ratio.exp() * batch.advantages).mean()
-        trust_region_loss = kl_parts(dist, detached(projected)).total.mean()
+        trust_region_loss = dist.kl_parts(projected.detach()).total.mean()
         entropy = projected.entropy().mean()
         loss = surrogate_loss + self.trust_region_coef * trust_region_loss - self.ent_coef * entropy
         metrics = {
@@ -72,12 +71,11 @@ class BPP(FirstOrderAlgorithm):
         return dataclasses.replace(dist, mean=mean, std=std, gripper_logits=logits)
 
     @torch.no_grad()
-    def diagnose(self, dist: ActionDistribution, batch: Batch) -> dict[str, torch.Tensor]:
+    def diagnose(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> Metrics:
         """See `FirstOrderAlgorithm.diagnose`: KLs before and after projection, bound activity."""
-        old = old_distribution(dist, batch)
-        raw = kl_parts(dist, old)
+        raw = dist.kl_parts(batch.old)
         return {
             **kl_metrics("raw", raw),
-            **kl_metrics("projected", kl_parts(self.project(dist, old), old)),
+            **kl_metrics("projected", projected.kl_parts(batch.old)),
             **activity_metrics(dist, raw, self.bounds),
         }

@@ -9,9 +9,10 @@ import torch
 
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import Bounds, KLParts, activity_metrics, kl_metrics, kl_parts, old_distribution
+from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
 from maniskill_grpd.learning.update import Algorithm, Learner, Metrics, apply_gradients, mean_std, summarize
 from maniskill_grpd.policies import ActionDistribution
+from maniskill_grpd.policies.divergence import KLParts
 
 _CG_STEPS = 10
 """Conjugate gradient steps; more change the direction little and cost a pass over the samples each."""
@@ -99,9 +100,9 @@ class FisherBPP(Algorithm):
 
     def _joint_bound(self, learner: Learner, batch: Batch) -> float:
         """Return the sum of the bounds times the mean number of actuators of a state [nats]."""
-        has_gripper = batch.old_gripper_logits is not None
+        has_gripper = batch.old.gripper_logits is not None
         per_actuator = self.bounds.mean + self.bounds.cov + has_gripper * self.bounds.gripper
-        count = batch.graph["actuator"]["mask"].sum(-1).to(batch.actions.dtype).mean()
+        count = batch.old.mask.sum(-1).to(batch.actions.dtype).mean()
         return per_actuator * (learner.workers.sum(count) / learner.workers.size).item()
 
     @torch.no_grad()
@@ -110,7 +111,7 @@ class FisherBPP(Algorithm):
         rows: list[Metrics] = []
         for chunk, share in _shares(batch):
             dist = learner.evaluate(chunk.graph)[0]
-            parts = kl_parts(dist, old_distribution(dist, chunk))
+            parts = dist.kl_parts(chunk.old)
             count = dist.mask.sum().clamp(min=1)
             means = {f"{k}_kl": part.sum() / count for k, part in parts._asdict().items()}
             row = {
@@ -140,9 +141,7 @@ def split_parameters(learner: Learner, batch: Batch) -> tuple[list[torch.Tensor]
     """
     parameters = [p for p in learner.policy.parameters() if p.requires_grad]
     dist, _ = learner.evaluate(next(_shares(batch))[0].graph)
-    probe = dist.mean.sum() + dist.std.sum()
-    if dist.gripper_logits is not None:
-        probe = probe + dist.gripper_logits.sum()
+    probe = sum(tensor.sum() for _, tensor in dist.items() if tensor.is_floating_point())
     gradients = torch.autograd.grad(probe, parameters, allow_unused=True)
     pairs = list(zip(parameters, gradients, strict=True))
     return [p for p, g in pairs if g is not None], [p for p, g in pairs if g is None]

@@ -9,9 +9,10 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import Bounds, KLParts, activity_metrics, kl_metrics, kl_parts, old_distribution
-from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner
+from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
+from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner, Metrics
 from maniskill_grpd.policies import ActionDistribution
+from maniskill_grpd.policies.divergence import KLParts
 
 _FIRST_MULTIPLIER = 1.0
 
@@ -38,13 +39,12 @@ class LagrangianBPP(FirstOrderAlgorithm):
     max_multiplier: float
     multipliers: dict[str, float] = field(default_factory=lambda: dict.fromkeys(KLParts._fields, _FIRST_MULTIPLIER))
 
-    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""
         ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
         surrogate_loss = -(ratio * batch.advantages).mean()
         penalties = {
-            name: self.multipliers[name] * (share - 1.0)
-            for name, share in self._shares(dist, kl_parts(dist, old_distribution(dist, batch))).items()
+            name: self.multipliers[name] * (share - 1.0) for name, share in self._shares(dist, dist.kl_parts(batch.old)).items()
         }
         entropy = dist.entropy().mean()
         penalty = sum(penalties.values())
@@ -52,9 +52,9 @@ class LagrangianBPP(FirstOrderAlgorithm):
         return surrogate_loss + penalty - self.ent_coef * entropy, metrics
 
     @torch.no_grad()
-    def diagnose(self, dist: ActionDistribution, batch: Batch) -> dict[str, torch.Tensor]:
+    def diagnose(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> Metrics:
         """See `FirstOrderAlgorithm.diagnose`: KLs and their shares of the bounds."""
-        parts = kl_parts(dist, old_distribution(dist, batch))
+        parts = dist.kl_parts(batch.old)
         shares = self._shares(dist, parts)
         return {
             **kl_metrics("raw", parts),

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 
 from maniskill_grpd.learning.rollout import Batch
-from maniskill_grpd.learning.trust_region import kl_metrics, kl_parts, old_distribution
-from maniskill_grpd.learning.update import FirstOrderAlgorithm
+from maniskill_grpd.learning.trust_region import kl_metrics
+from maniskill_grpd.learning.update import FirstOrderAlgorithm, Metrics
 from maniskill_grpd.policies import ActionDistribution
 
 
@@ -21,7 +21,7 @@ class PPO(FirstOrderAlgorithm):
 
     clip_coef: float
 
-    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""
         ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
         clipped = ratio.clamp(1.0 - self.clip_coef, 1.0 + self.clip_coef)
@@ -35,6 +35,6 @@ class PPO(FirstOrderAlgorithm):
         return surrogate_loss - self.ent_coef * entropy, metrics
 
     @torch.no_grad()
-    def diagnose(self, dist: ActionDistribution, batch: Batch) -> dict[str, torch.Tensor]:
+    def diagnose(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> Metrics:
         """See `FirstOrderAlgorithm.diagnose`."""
-        return kl_metrics("raw", kl_parts(dist, old_distribution(dist, batch)))
+        return kl_metrics("raw", dist.kl_parts(batch.old))

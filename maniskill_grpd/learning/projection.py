@@ -23,6 +23,8 @@ from functools import lru_cache
 import torch
 from scipy.special import lambertw
 
+from maniskill_grpd.policies.divergence import kl_cov, kl_mean
+
 # The root search converges in about 8 steps; the cap only ends a search that rounding keeps alive.
 _MAX_ROOT_STEPS = 60
 # Relative accuracy of the root in float64, a few hundred ulps of the terms that are summed.
@@ -71,36 +73,6 @@ def project_unchecked(
     return projected_mean, _project_diagonal(std, old_std, cov_bound)
 
 
-def gaussian_kl_parts(
-    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the mean and the covariance part of KL(N(mean, std^2) || N(old_mean, old_std^2)).
-
-    Their sum is the divergence of eq. 63.
-
-    Args:
-        mean: Means, (..., d).
-        std: Standard deviations, (..., d) or, for sigma^2 I, (..., 1).
-        old_mean: Means of the second Gaussian, shape of `mean`.
-        old_std: Standard deviations of the second Gaussian, shape of `std`.
-
-    Returns:
-        Mean part and covariance part, each (...) [nats].
-
-    Raises:
-        ValueError: If shapes do not fit or a standard deviation is not positive.
-    """
-    _check_gaussians(mean, std, old_mean, old_std)
-    return kl_parts_unchecked(mean, std, old_mean, old_std)
-
-
-def kl_parts_unchecked(
-    mean: torch.Tensor, std: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Do the work of `gaussian_kl_parts`, whose checks each wait for the device."""
-    return _kl_mean(mean, old_mean, old_std), _kl_cov(std, old_std, mean.shape[-1])
-
-
 @lru_cache(maxsize=64)
 def isotropic_std_ratios(bound: float, dim: int) -> tuple[float, float]:
     """Return the smallest and largest std / old_std whose covariance KL is `bound`.
@@ -137,7 +109,7 @@ def _project_mean(mean: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Ten
     # Masking the input, not the output: sqrt at kl = 0 has an infinite gradient.
     shrink = 1.0 - _SHRINK_ULPS * torch.finfo(mean.dtype).eps
     scale = shrink * (bound / torch.where(active, kl, bound)).sqrt()
-    projected = _round_inside(old_mean + scale * step, old_mean, lambda x: _kl_mean(x, old_mean, old_std) > bound)
+    projected = _round_inside(old_mean + scale * step, old_mean, lambda x: kl_mean(x, old_mean, old_std) > bound)
     return torch.where(active, projected, mean)
 
 
@@ -155,7 +127,7 @@ def _project_diagonal(std: torch.Tensor, old_std: torch.Tensor, bound: float) ->
     (0, 1] the root of F (see `_mixing_residual`). Autograd through one Newton step from the root is
     exactly the implicit derivative dt/da. float64 inside: F is a difference of nearly equal terms.
     """
-    active = (_kl_cov(std, old_std, std.shape[-1]) > bound).unsqueeze(-1)
+    active = (kl_cov(std, old_std, std.shape[-1]) > bound).unsqueeze(-1)
     if not active.any():
         return std
     old = old_std.double()
@@ -167,7 +139,7 @@ def _project_diagonal(std: torch.Tensor, old_std: torch.Tensor, bound: float) ->
         slope = _mixing_slope(weight, change).clamp_min(torch.finfo(torch.float64).tiny)
     weight = weight - _mixing_residual(weight, change, bound) / slope
     mixed = (old * torch.rsqrt(1.0 + weight * change)).to(std.dtype)
-    mixed = _round_inside(mixed, old_std, lambda x: _kl_cov(x, old_std, std.shape[-1]) > bound)
+    mixed = _round_inside(mixed, old_std, lambda x: kl_cov(x, old_std, std.shape[-1]) > bound)
     return torch.where(active, mixed, std)
 
 
@@ -214,23 +186,6 @@ def _round_inside(value: torch.Tensor, old: torch.Tensor, is_outside) -> torch.T
     exact = value.detach()
     correction = torch.nextafter(exact, old) - exact
     return value + torch.where(is_outside(exact).unsqueeze(-1), correction, 0.0)
-
-
-def _kl_mean(mean: torch.Tensor, old_mean: torch.Tensor, old_std: torch.Tensor) -> torch.Tensor:
-    return 0.5 * ((mean - old_mean) / old_std).square().sum(-1)
-
-
-def _kl_cov(std: torch.Tensor, old_std: torch.Tensor, dim: int) -> torch.Tensor:
-    """Return 1/2 sum_i (x_i - log(1 + x_i)), x = std^2 / old_std^2 - 1, computed in float64.
-
-    Near the old policy the sum is x^2 / 4 while its terms are of order x: float32 has no digits left.
-    """
-    new, old = std.double(), old_std.double()
-    excess = (new - old) * (new + old) / old.square()
-    # std far below old_std: 1 + excess has lost the ratio, its logarithm must come from std itself.
-    log_ratio = torch.where(excess > -0.5, torch.log1p(excess.clamp_min(-0.5)), 2.0 * (new.log() - old.log()))
-    copies = dim if std.shape[-1] == 1 else 1
-    return (0.5 * copies * (excess - log_ratio).sum(-1)).to(std.dtype)
 
 
 def _check_bound(name: str, bound: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -44,12 +44,8 @@ class Batch:
     """Actions that were taken, (M, A * 3), or (M, A * 4) with grippers."""
     log_probs: torch.Tensor
     """Log probabilities of the actions under the old policy, (M,)."""
-    old_mean: torch.Tensor
-    """Action means of the old policy, (M, A, 3)."""
-    old_std: torch.Tensor
-    """Action standard deviations of the old policy, (M, A, 1) or (M, A, 3)."""
-    old_gripper_logits: torch.Tensor | None = None
-    """Log-odds of closed grippers under the old policy, (M, A); None without grippers."""
+    old: ActionDistribution
+    """The old policy at the observations, leading dimension M."""
     advantages: torch.Tensor
     """Advantages, normalised if so configured, (M,)."""
     returns: torch.Tensor
@@ -76,8 +72,14 @@ class Batch:
 
     def map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
         """Apply a function to every tensor, those of the graph included."""
-        tensors = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return Batch(**map_graph(function, tensors))
+        return Batch(
+            graph=map_graph(function, self.graph),
+            actions=function(self.actions),
+            log_probs=function(self.log_probs),
+            old=self.old.map(function),
+            advantages=function(self.advantages),
+            returns=function(self.returns),
+        )
 
 
 class Rollout:
@@ -86,7 +88,7 @@ class Rollout:
     Args:
         num_steps: T.
         graph: An observation graph of the environments, (B, ...) per tensor: gives shapes and device.
-        dist: The policy there: gives shapes of means, deviations and grippers.
+        dist: The policy there: gives the shapes of what it decides.
     """
 
     def __init__(self, num_steps: int, graph: Graph, dist: ActionDistribution) -> None:
@@ -99,9 +101,7 @@ class Rollout:
         self.num_envs = num_envs
         self.graph = map_graph(like, graph)
         self.actions = like(dist.mode)
-        self.means, self.stds = like(dist.mean), like(dist.std)
-        logits = dist.gripper_logits
-        self.gripper_logits = None if logits is None else like(logits)
+        self.distribution = dist.map(like)
         self.log_probs, self.rewards, self.values = like(scalars), like(scalars), like(scalars)
         self.final_values = scalars.new_zeros((num_steps, num_envs))
         self.terminated, self.truncated = like(scalars.bool()), like(scalars.bool())
@@ -124,9 +124,8 @@ class Rollout:
     def store_decision(self, step: int, dist: ActionDistribution, action: torch.Tensor, log_prob: torch.Tensor) -> None:
         """Copy what the policy did in one step: its distribution, an action (B, ...), its density."""
         self.actions[step], self.log_probs[step] = action, log_prob
-        self.means[step], self.stds[step] = dist.mean, dist.std
-        if self.gripper_logits is not None:
-            self.gripper_logits[step] = dist.gripper_logits
+        for (_, storage), (_, tensor) in zip(self.distribution.items(), dist.items(), strict=True):
+            storage[step] = tensor
 
     def flat_graph(self) -> Graph:
         """Return the graphs of all transitions as views, (T * B, ...) per tensor."""
@@ -146,9 +145,7 @@ class Rollout:
             graph=map_graph(pick, self.graph),
             actions=pick(self.actions),
             log_probs=pick(self.log_probs),
-            old_mean=pick(self.means),
-            old_std=pick(self.stds),
-            old_gripper_logits=None if self.gripper_logits is None else pick(self.gripper_logits),
+            old=self.distribution.map(pick),
             advantages=pick(self.advantages),
             returns=pick(self.returns),
         )

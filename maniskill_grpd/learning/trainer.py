@@ -331,7 +331,7 @@ def rollout_metrics(rollout: Rollout, workers: Workers | None = None) -> dict[st
         "charts/action_norm": _action_norm(rollout),
         "charts/value": rollout.values.mean(),
     }
-    if rollout.gripper_logits is not None:
+    if rollout.distribution.gripper_logits is not None:
         metrics["charts/grip_closed"] = _grippers(rollout)[..., 3].mean()
     metrics = (workers or Workers()).average_metrics(metrics)
     return {name: value.item() for name, value in metrics.items()}
@@ -344,7 +344,7 @@ def _action_norm(rollout: Rollout) -> torch.Tensor:
 
 def _grippers(rollout: Rollout) -> torch.Tensor:
     """Return the actions of the actuators that exist, (K, 3) or (K, 4)."""
-    mask = rollout.graph["actuator"]["mask"]
+    mask = rollout.distribution.mask
     return rollout.actions.unflatten(-1, (mask.shape[-1], -1))[mask]
 
 

@@ -128,12 +128,22 @@ class FirstOrderAlgorithm(Algorithm):
 
     ent_coef: float
 
+    def project(self, dist: ActionDistribution, old: ActionDistribution) -> ActionDistribution:
+        """Return the policy whose surrogate is maximised: `dist` itself unless the algorithm projects it.
+
+        Args:
+            dist: The current policy at M states, differentiable.
+            old: The policy that collected, there.
+        """
+        return dist
+
     @abc.abstractmethod
-    def policy_loss(self, dist: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
+    def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """Compute the loss of a minibatch.
 
         Args:
             dist: Action distribution of the current policy for `batch.graph`, differentiable.
+            projected: What `project` made of it.
             batch: Transitions of the rollout.
 
         Returns:
@@ -141,8 +151,14 @@ class FirstOrderAlgorithm(Algorithm):
         """
 
     @abc.abstractmethod
-    def diagnose(self, dist: ActionDistribution, batch: Batch) -> Metrics:
-        """Return further scalars to log, `kl_raw` among them; computed only where they are used."""
+    def diagnose(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> Metrics:
+        """Return further scalars to log, `kl_raw` among them; computed only where they are used.
+
+        Args:
+            dist: As for `policy_loss`.
+            projected: The projection of which the loss was made.
+            batch: Transitions of the rollout.
+        """
 
     def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
         """Take `update_epochs` passes over a rollout in random minibatches; see `Algorithm.update`."""
@@ -204,9 +220,7 @@ def autocast_policy(forward: Any, graph: Graph, enabled: bool) -> tuple[ActionDi
         return forward(graph)
     with torch.autocast(graph["gravity"].device.type, dtype=torch.bfloat16):
         dist, outputs = forward(graph)
-    logits = dist.gripper_logits
-    dist = ActionDistribution(dist.mean.float(), dist.std.float(), dist.mask, None if logits is None else logits.float())
-    return dist, outputs.float()
+    return dist.map(lambda tensor: tensor.float() if tensor.is_floating_point() else tensor), outputs.float()
 
 
 def summarize(rows: list[Metrics], workers: Workers) -> dict[str, float]:
@@ -220,12 +234,13 @@ def _accumulate_gradients(learner: Learner, algorithm: FirstOrderAlgorithm, batc
     rows, shares = [], []
     for chunk in learner.chunks(batch):
         dist, outputs = learner.evaluate(chunk.graph)
-        policy_loss, metrics = algorithm.policy_loss(dist, chunk)
+        projected = algorithm.project(dist, chunk.old)
+        policy_loss, metrics = algorithm.policy_loss(dist, projected, chunk)
         value_loss = learner.value_loss(outputs, chunk)
         share = len(chunk) / len(batch)
         (share * (policy_loss + learner.config.vf_coef * value_loss)).backward()
         if diagnose:
-            metrics |= {"std": mean_std(dist), **algorithm.diagnose(dist, chunk)}
+            metrics |= {"std": mean_std(dist), **algorithm.diagnose(dist, projected, chunk)}
         rows.append({**metrics, "value_loss": value_loss.detach()})
         shares.append(share)
     return rows[0] if len(rows) == 1 else _reduce(rows, shares)

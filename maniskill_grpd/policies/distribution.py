@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
 
 import torch
 from torch.nn.functional import logsigmoid, softplus
+
+from maniskill_grpd.policies.divergence import KLParts, bernoulli_kl, gaussian_kl_parts
 
 _LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -88,63 +91,34 @@ class ActionDistribution:
             entropy = entropy + softplus(logits) - probability * logits
         return self._sum(entropy)
 
-    def kl_divergence(self, old: ActionDistribution) -> tuple[torch.Tensor, torch.Tensor]:
-        """KL(self || old) of each actuator's Gaussian in its two parts (eq. 63).
-
-        With d = 3 and ratio q = (std / old.std)^2:
-
-            mean part        |mean - old.mean|^2 / (2 old.std^2)
-            covariance part  d (q - 1 - log q) / 2
-
-        Their sum is the divergence; with grippers `gripper_kl_divergence` comes on top.
+    def kl_parts(self, old: ActionDistribution) -> KLParts:
+        """KL(self || old) of each actuator in its parts: Gaussian mean and covariance (eq. 63), gripper (eq. 56).
 
         Args:
             old: The reference, of the same shapes.
 
         Returns:
-            Mean part and covariance part [nats], each (B, A) and zero where masked.
+            The parts [nats], each (B, A) and zero where masked; `.total` is that of whole actions, (B,).
         """
-        mean = 0.5 * ((self.mean - old.mean) / old.std).square().sum(-1)
-        log_ratio = 2.0 * (self.std.log() - old.std.log()).squeeze(-1)
-        # expm1: near equality q - 1 - log q cancels, and that is where trust regions live.
-        covariance = 0.5 * self.mean.shape[-1] * (torch.expm1(log_ratio) - log_ratio)
-        return mean.masked_fill(~self.mask, 0.0), covariance.masked_fill(~self.mask, 0.0)
+        mean, cov = gaussian_kl_parts(self.mean, self.std, old.mean, old.std)
+        gripper = torch.zeros_like(mean)
+        if self.gripper_logits is not None:
+            gripper = bernoulli_kl(self.gripper_logits, old.gripper_logits)
+        return KLParts(*(part.masked_fill(~self.mask, 0.0) for part in (mean, cov, gripper)))
 
-    def gripper_kl_divergence(self, old: ActionDistribution) -> torch.Tensor:
-        """KL(self || old) of each gripper's Bernoulli variable [nats], (B, A), zero where masked.
+    def items(self) -> Iterator[tuple[str, torch.Tensor]]:
+        """Yield the tensors by name; gripper_logits only where there are grippers."""
+        for entry in fields(self):
+            if getattr(self, entry.name) is not None:
+                yield entry.name, getattr(self, entry.name)
 
-        Zero without grippers.
+    def map(self, function: Callable[[torch.Tensor], torch.Tensor]) -> ActionDistribution:
+        """Return the distribution of the tensors that a function makes of these, the mask included."""
+        return ActionDistribution(**{name: function(tensor) for name, tensor in self.items()})
 
-        Args:
-            old: The reference, of the same shapes.
-        """
-        if self.gripper_logits is None or old.gripper_logits is None:
-            return torch.zeros_like(self.mean[..., 0])
-        kl = bernoulli_kl(self.gripper_logits, old.gripper_logits)
-        return kl.masked_fill(~self.mask, 0.0)
-
-    def joint_kl_divergence(self, old: ActionDistribution) -> torch.Tensor:
-        """KL(self || old) of whole actions [nats], grippers included, (B,)."""
-        mean, covariance = self.kl_divergence(old)
-        return (mean + covariance + self.gripper_kl_divergence(old)).sum(-1)
+    def detach(self) -> ActionDistribution:
+        """Return the same distribution, through which no gradient flows."""
+        return self.map(torch.Tensor.detach)
 
     def _sum(self, per_actuator: torch.Tensor) -> torch.Tensor:
         return per_actuator.masked_fill(~self.mask, 0.0).sum(-1)
-
-
-def bernoulli_kl(logits: torch.Tensor, old_logits: torch.Tensor) -> torch.Tensor:
-    """KL between two Bernoulli variables [nats], of any shape.
-
-        p (l - k) - log((1 + exp(l)) / (1 + exp(k))),      p = sigmoid(l)
-
-    Args:
-        logits: Log-odds l of the first variable.
-        old_logits: Log-odds k of the second, same shape.
-    """
-    change = logits - old_logits
-    # Close to each other, the difference of two softplus would lose the quadratic remainder.
-    near = change.clamp(-1.0, 1.0)
-    log_ratio = torch.where(
-        change.abs() < 1.0, torch.log1p(torch.sigmoid(old_logits) * torch.expm1(near)), softplus(logits) - softplus(old_logits)
-    )
-    return (torch.sigmoid(logits) * change - log_ratio).clamp(min=0.0)

@@ -17,8 +17,9 @@ BPP_OPTIONS = {"bounds": BOUNDS, "trust_region_coef": 1.0, "ent_coef": 0.0}
 
 def losses(algorithm, dist, batch):
     """Return the loss and all metrics of a minibatch."""
-    loss, metrics = algorithm.policy_loss(dist, batch)
-    return loss, {**metrics, **algorithm.diagnose(dist, batch)}
+    projected = algorithm.project(dist, batch.old)
+    loss, metrics = algorithm.policy_loss(dist, projected, batch)
+    return loss, {**metrics, **algorithm.diagnose(dist, projected, batch)}
 
 
 def make_batch(size=32, num_actuators=2, seed=0):
@@ -29,15 +30,7 @@ def make_batch(size=32, num_actuators=2, seed=0):
     old = ActionDistribution(mean, std, torch.ones(size, num_actuators, dtype=torch.bool))
     actions = old.sample(rng)
     advantages = torch.randn(size, generator=rng)
-    batch = Batch(
-        graph={},
-        actions=actions,
-        log_probs=old.log_prob(actions),
-        old_mean=mean,
-        old_std=std,
-        advantages=advantages,
-        returns=advantages,
-    )
+    batch = Batch(graph={}, actions=actions, log_probs=old.log_prob(actions), old=old, advantages=advantages, returns=advantages)
     return batch, old
 
 
@@ -122,5 +115,5 @@ def test_entropy_bonus_raises_the_std():
     options = {**BPP_OPTIONS, "ent_coef": 0.1}
     for algorithm in (BPP(**options), PPO(clip_coef=0.2, ent_coef=0.1)):
         dist = shifted(old)
-        loss, _ = algorithm.policy_loss(dist, batch)
+        loss, _ = losses(algorithm, dist, batch)
         assert (torch.autograd.grad(loss, dist.std)[0] < 0).all()

@@ -5,7 +5,7 @@ import torch
 from scipy.optimize import minimize_scalar
 
 from maniskill_grpd.learning.bernoulli_projection import project_bernoulli
-from maniskill_grpd.policies.distribution import bernoulli_kl
+from maniskill_grpd.policies.divergence import bernoulli_kl
 
 
 def draw(count, scale, dtype=torch.float64, seed=0):

@@ -8,7 +8,6 @@ from toy_env import ToyEnv, ToyPolicy
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.algorithm import make_algorithm
 from maniskill_grpd.learning.fisher import conjugate_gradient, fisher_product, split_parameters
-from maniskill_grpd.learning.trust_region import kl_parts, old_distribution
 
 EVERY = torch.arange(56)
 
@@ -62,7 +61,7 @@ def test_the_step_honours_every_bound_on_the_true_kl(bound, gripper):
     assert metrics["step_size"] > 0.0
     batch = rollout.select(EVERY)
     dist, _ = policy(batch.graph)
-    parts = kl_parts(dist, old_distribution(dist, batch))
+    parts = dist.kl_parts(batch.old)
     assert 0.0 < parts.total.mean().item() == pytest.approx(metrics["kl_raw"], rel=1e-3)
     assert parts.mean.mean() <= bound * 1.0001
     assert parts.cov.mean() <= bound / 10 * 1.0001

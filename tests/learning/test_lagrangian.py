@@ -8,7 +8,7 @@ from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.lagrangian import LagrangianBPP
 from maniskill_grpd.learning.rollout import Batch
 from maniskill_grpd.learning.run_log import read_rows
-from maniskill_grpd.learning.trust_region import Bounds, kl_parts
+from maniskill_grpd.learning.trust_region import Bounds
 from maniskill_grpd.policies import ActionDistribution
 
 BOUNDS = Bounds(mean=0.05, cov=0.005, gripper=0.01)
@@ -40,26 +40,18 @@ def test_the_kl_settles_at_its_bound_under_a_constant_pull():
     old = ActionDistribution(torch.zeros(64, 1, 3), torch.full((64, 1, 1), 0.5), mask)
     actions = old.sample()
     advantages = actions[:, 0] / 0.5
-    batch = Batch(
-        graph={},
-        actions=actions,
-        log_probs=old.log_prob(actions),
-        old_mean=old.mean,
-        old_std=old.std,
-        advantages=advantages,
-        returns=advantages,
-    )
+    batch = Batch(graph={}, actions=actions, log_probs=old.log_prob(actions), old=old, advantages=advantages, returns=advantages)
     algorithm, shares = make_algorithm(), []
     for _ in range(60):
         shift = torch.zeros(3, requires_grad=True)
         optimizer = torch.optim.Adam([shift], lr=0.02)
         for _ in range(40):
             dist = ActionDistribution(old.mean + shift, old.std, mask)
-            loss, _ = algorithm.policy_loss(dist, batch)
+            loss, _ = algorithm.policy_loss(dist, dist, batch)
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
-        shares.append(kl_parts(dist, old).mean.mean().item() / BOUNDS.mean)
+        shares.append(dist.kl_parts(old).mean.mean().item() / BOUNDS.mean)
         algorithm.ascend("mean", shares[-1])
     assert shares[0] < 0.8  # started elsewhere
     assert sum(shares[-20:]) / 20 == pytest.approx(1.0, abs=0.1)

@@ -88,7 +88,7 @@ def test_the_losses_of_a_minibatch_are_cleanrls():
         values.detach().double().numpy(),
     )
     algorithm = PPO(clip_coef=0.2, ent_coef=0.01)
-    loss, metrics = algorithm.policy_loss(dist, learner.normalize_advantages(batch))
+    loss, metrics = algorithm.policy_loss(dist, dist, learner.normalize_advantages(batch))
     value_loss = learner.value_loss(values, batch)
     found = {**metrics, "value_loss": value_loss, "loss": loss + 0.5 * value_loss}
     assert 0.0 < expected["clipfrac"] < 1.0

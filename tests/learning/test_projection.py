@@ -5,8 +5,9 @@ import pytest
 import torch
 from scipy.optimize import minimize
 
-from maniskill_grpd.learning import gaussian_kl_parts, project_gaussian
+from maniskill_grpd.learning import project_gaussian
 from maniskill_grpd.learning.projection import isotropic_std_ratios
+from maniskill_grpd.policies.divergence import gaussian_kl_parts
 
 BOUNDS = [(0.05, 0.005), (1e-4, 1e-6), (1.0, 0.7)]
 

@@ -228,18 +228,22 @@ class FirstRatios(FirstOrderAlgorithm):
         self.period = config.update_epochs * config.num_minibatches
         self.calls, self.errors, self.counts = 0, [], []
 
-    def policy_loss(self, dist, batch):
+    def project(self, dist, old):
+        """Project as the algorithm does."""
+        return self.inner.project(dist, old)
+
+    def policy_loss(self, dist, projected, batch):
         """Note the ratios."""
         if self.calls % self.period == 0:
             ratio = (dist.log_prob(batch.actions) - batch.log_probs).exp()
             self.errors.append((ratio - 1.0).abs().max().item())
             self.counts.append(self.trainer.policy.normalizer.object_count.item())
         self.calls += 1
-        return self.inner.policy_loss(dist, batch)
+        return self.inner.policy_loss(dist, projected, batch)
 
-    def diagnose(self, dist, batch):
+    def diagnose(self, dist, projected, batch):
         """Pass metrics through."""
-        return self.inner.diagnose(dist, batch)
+        return self.inner.diagnose(dist, projected, batch)
 
 
 def test_training_seeds_are_apart_from_evaluation_seeds_and_from_each_other():

@@ -48,7 +48,7 @@ def test_a_rollout_holds_what_the_environment_gave():
         for name, stored in graph_items(rollout.graph):
             assert torch.equal(stored[step], dict(graph_items(obs["graph"]))[name]), name
         dist, value = policy(obs["graph"])
-        assert torch.equal(rollout.means[step], dist.mean)
+        assert torch.equal(rollout.distribution.mean[step], dist.mean)
         assert torch.equal(rollout.values[step], value)
         obs, reward, _, truncated, info = env.step(rollout.actions[step])
         assert torch.equal(rollout.rewards[step], reward)
@@ -87,11 +87,11 @@ class RatioProbe(FirstOrderAlgorithm):
         super().__init__(ent_coef=0.0)
         self.ratios = []
 
-    def diagnose(self, dist, batch):
+    def diagnose(self, dist, projected, batch):
         """Report nothing more."""
         return {}
 
-    def policy_loss(self, dist, batch):
+    def policy_loss(self, dist, projected, batch):
         """Note the ratios."""
         self.ratios.append((dist.log_prob(batch.actions) - batch.log_probs).exp().detach())
         zero = 0.0 * dist.mean.sum()

@@ -111,7 +111,8 @@ def one_step(workers):
     learner.workers = workers
     batch = learner.normalize_advantages(rollout.select(index))
     dist, outputs = learner.evaluate(batch.graph)
-    loss, metrics = make_algorithm(CONFIG).policy_loss(dist, batch)
+    algorithm = make_algorithm(CONFIG)
+    loss, metrics = algorithm.policy_loss(dist, algorithm.project(dist, batch.old), batch)
     (loss + learner.value_loss(outputs, batch)).backward()
     apply_gradients(learner, list(policy.parameters()), metrics, "a test")
     scale = ValueScale()

@@ -1,5 +1,7 @@
 """The action distribution against torch.distributions."""
 
+import math
+
 import pytest
 import torch
 from torch.distributions import Bernoulli, Independent, Normal, kl_divergence
@@ -39,21 +41,61 @@ def test_log_prob_and_entropy_match_torch(mask):
 def test_parts_of_the_divergence_add_up_to_torch(mask):
     """Mean part with equal stds, covariance part with equal means, sum in general."""
     new, old = make_distribution(0, mask), make_distribution(1, mask)
-    mean_part, covariance_part = new.kl_divergence(old)
+    mean_part, covariance_part, _ = new.kl_parts(old)
     expected = kl_divergence(reference(new), reference(old)) * new.mask
     torch.testing.assert_close(mean_part + covariance_part, expected)
     same_mean = ActionDistribution(old.mean, new.std, new.mask)
-    torch.testing.assert_close(same_mean.kl_divergence(old)[0], torch.zeros(5, 3).double())
-    torch.testing.assert_close(same_mean.kl_divergence(old)[1], covariance_part)
+    torch.testing.assert_close(same_mean.kl_parts(old).mean, torch.zeros(5, 3).double())
+    torch.testing.assert_close(same_mean.kl_parts(old).cov, covariance_part)
 
 
-def test_divergence_from_itself_is_zero_and_small_ones_are_exact():
-    """KL of a relative change e of std is 3 e^2 to second order; float32 must not lose it."""
-    old = ActionDistribution(torch.zeros(1, 1, 3), torch.full((1, 1, 1), 0.5), torch.ones(1, 1) > 0)
-    assert all((part == 0).all() for part in old.kl_divergence(old))
-    change = 1e-3
-    new = ActionDistribution(old.mean, old.std * (1 + change), old.mask)
-    torch.testing.assert_close(new.kl_divergence(old)[1], torch.full((1, 1), 3 * change**2), rtol=2e-2, atol=0.0)
+def test_divergence_from_itself_is_zero():
+    old = with_grippers(0)
+    assert all((part == 0).all() for part in old.kl_parts(old))
+
+
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 2e-3), (torch.float64, 1e-6)])
+@pytest.mark.parametrize("power", [-10, -13, -20, -26])
+def test_small_divergences_keep_their_digits(power, dtype, tolerance):
+    """KL of a relative change e of std is 3 e^2, of a change e of the logit p (1 - p) e^2 / 2; sums of larger terms lose both.
+
+    Changes are powers of two, so that they survive the rounding of what they are added to; the next term of the series is e.
+    """
+    change = 2.0**power
+    if change < 16 * torch.finfo(dtype).eps:
+        pytest.skip("less than this type resolves")
+    logits = torch.full((1, 1), 0.25, dtype=dtype)
+    old = ActionDistribution(
+        torch.zeros(1, 1, 3, dtype=dtype), torch.full((1, 1, 1), 0.5, dtype=dtype), torch.ones(1, 1) > 0, logits
+    )
+    parts = ActionDistribution(old.mean, old.std * (1 + change), old.mask, logits + change).kl_parts(old)
+    assert parts.cov.item() == pytest.approx(3 * change**2, rel=2 * change + tolerance)
+    p = 1 / (1 + math.exp(-0.25))
+    if dtype == torch.float64 and power > -20:
+        assert parts.gripper.item() == pytest.approx(0.5 * p * (1 - p) * change**2, rel=2 * change + 1e-4)
+
+
+def test_the_divergence_is_from_the_old_policy_not_to_it():
+    """KL(N(0, 2^2) || N(0, 1)) of three axes is 3/2 (4 - 1 - log 4); the other way round 3/2 (1/4 - 1 + log 4)."""
+    mask, logit = torch.ones(1, 1) > 0, torch.zeros(1, 1)
+    new = ActionDistribution(torch.ones(1, 1, 3), torch.full((1, 1, 1), 2.0), mask, logit + 3.0)
+    old = ActionDistribution(torch.zeros(1, 1, 3), torch.ones(1, 1, 1), mask, logit)
+    parts = new.kl_parts(old)
+    assert parts.mean.item() == pytest.approx(1.5)
+    assert parts.cov.item() == pytest.approx(1.5 * (3.0 - math.log(4.0)))
+    p = 1 / (1 + math.exp(-3.0))
+    assert parts.gripper.item() == pytest.approx(p * math.log(2 * p) + (1 - p) * math.log(2 * (1 - p)), rel=1e-5)
+
+
+def test_map_and_detach_reach_every_tensor():
+    whole = with_grippers(0)
+    whole.mean.requires_grad_()
+    whole.gripper_logits.requires_grad_()
+    assert {name for name, _ in whole.items()} == {"mean", "std", "mask", "gripper_logits"}
+    assert not any(tensor.requires_grad for _, tensor in whole.detach().items())
+    first = whole.map(lambda tensor: tensor[:1])
+    assert all(torch.equal(tensor, dict(whole.items())[name][:1]) for name, tensor in first.items())
+    assert make_distribution(0).map(torch.clone).gripper_logits is None
 
 
 def test_samples_have_the_stated_moments():
@@ -103,9 +145,9 @@ def test_joint_with_grippers_matches_torch(mask):
     entropy = reference(new).entropy() + coin.entropy()
     torch.testing.assert_close(new.entropy(), (entropy * weight).sum(-1))
     gripper = kl_divergence(coin, old_coin) * weight
-    torch.testing.assert_close(new.gripper_kl_divergence(old), gripper)
+    torch.testing.assert_close(new.kl_parts(old).gripper, gripper)
     whole = kl_divergence(reference(new), reference(old)) * weight + gripper
-    torch.testing.assert_close(new.joint_kl_divergence(old), whole.sum(-1))
+    torch.testing.assert_close(new.kl_parts(old).total, whole.sum(-1))
 
 
 def test_gripper_divergence_is_exact_when_small_and_finite_when_certain():
@@ -116,12 +158,12 @@ def test_gripper_divergence_is_exact_when_small_and_finite_when_certain():
         logits = torch.full((1, 1), logit, requires_grad=True)
         return ActionDistribution(torch.zeros(1, 1, 3), one, one[..., 0] > 0, logits)
 
-    small = gripper(0.301).gripper_kl_divergence(gripper(0.3))
+    small = gripper(0.301).kl_parts(gripper(0.3)).gripper
     p = torch.sigmoid(torch.tensor(0.3))
     torch.testing.assert_close(small.detach()[0, 0], p * (1 - p) * 5e-7, rtol=5e-3, atol=0.0)
     for pair in ((100.0, -100.0), (-100.0, 100.0), (100.0, 100.0)):
         new, old = (gripper(logit) for logit in pair)
-        kl = new.gripper_kl_divergence(old)
+        kl = new.kl_parts(old).gripper
         expected = 100.0 if pair[0] != pair[1] else 0.0  # log(1 / sigmoid(-100))
         torch.testing.assert_close(kl.detach(), torch.full((1, 1), expected))
         action = torch.tensor([[0.0, 0.0, 0.0, 1.0]])
@@ -146,5 +188,6 @@ def test_gripper_samples_have_the_stated_probability():
 
 def test_without_grippers_the_gripper_divergence_is_zero():
     new, old = make_distribution(0), make_distribution(1)
-    assert (new.gripper_kl_divergence(old) == 0).all()
-    torch.testing.assert_close(new.joint_kl_divergence(old), sum(new.kl_divergence(old)).sum(-1))
+    parts = new.kl_parts(old)
+    assert (parts.gripper == 0).all()
+    torch.testing.assert_close(parts.total, (parts.mean + parts.cov).sum(-1))

@@ -148,7 +148,7 @@ def test_all_tensors_follow_the_device_of_the_graph(name):
     policy = make_policy(name, SCHEMA, gripper=True).to("meta")
     distribution, value = policy(to_meta(make_graph(nodes=20)))
     action = distribution.sample()
-    loss = distribution.log_prob(action) + value + distribution.joint_kl_divergence(distribution)
+    loss = distribution.log_prob(action) + value + distribution.kl_parts(distribution).total
     (loss + distribution.entropy()).sum().backward()
     assert action.device.type == distribution.mode.device.type == "meta"
 
