@@ -17,11 +17,11 @@ from pathlib import Path
 import gymnasium as gym
 import tyro
 from mani_skill.utils import gym_utils
-from mani_skill.utils.wrappers import RecordEpisode
 from tqdm import tqdm
 
 from maniskill_grpd.experts import make_expert
 from maniskill_grpd.learning.config import parse_options, require_positive
+from maniskill_grpd.trajectory.episode_recorder import EpisodeRecorder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,9 @@ def record(config: RecordConfig) -> Path:
     env = gym.make(config.env_id, num_envs=num_envs, sim_backend=config.sim_backend, **options)
     num_steps = gym_utils.find_max_episode_steps_value(env)
     expert = make_expert(config.env_id, env)
-    recorder = RecordEpisode(
+    recorder = EpisodeRecorder(
         env,
-        str(folder),
+        folder,
         trajectory_name="trajectory",
         save_video=False,
         save_on_reset=False,
@@ -83,7 +83,8 @@ def record(config: RecordConfig) -> Path:
             info = recorder.step(expert.act())[4]
         wanted = info["success"] | config.keep_failures
         wanted[config.num_episodes - first :] = False
-        recorder.flush_trajectory(env_idxs_to_flush=wanted.nonzero()[:, 0].cpu().numpy())
+        recorder.keep(wanted.nonzero()[:, 0].cpu().numpy())
+        recorder.drop()
         kept += int(wanted.sum())
     recorder.close()
     print(f"{path}: {kept} of {config.num_episodes} episodes")
