@@ -49,6 +49,8 @@ class EvalConfig:
     """sample actions instead of taking the mean"""
     sigma: float = 0.0
     """standard deviation of noise on observed positions [m] and velocities [m/s]"""
+    allow_import: bool = False
+    """whether the id of the task in the checkpoint may be of the form module:id, which runs the code of that module"""
     torch_threads: int = 1
     """CPU threads PyTorch uses"""
     video: Path | None = None
@@ -75,7 +77,7 @@ def evaluate(config: EvalConfig, arguments: Sequence[str] = ()) -> dict[str, tor
         Results per episode, as `evaluate_policy` gives them.
     """
     torch.set_num_threads(config.torch_threads)
-    policy, contents = load_policy(config.checkpoint)
+    policy, contents = load_policy(config.checkpoint, allow_import=config.allow_import)
     task = task_config(config, TrainConfig.from_dict(contents["train_config"]))
     seeds = range(config.seed, config.seed + config.num_episodes)
     episodes = play(policy, task, seeds, config.num_envs, sigma=config.sigma, stochastic=config.stochastic)

@@ -61,6 +61,8 @@ class InspectConfig:
     """id of the task, if not the one of the training"""
     env_kwargs: tuple[str, ...] = ()
     """options of the task as key=value pairs that replace or extend those of the training"""
+    allow_import: bool = False
+    """whether the id of the task in the checkpoint may be of the form module:id, which runs the code of that module"""
     sim_backend: str = "cpu"
     """where the simulation runs"""
 
@@ -76,7 +78,7 @@ def inspect(config: InspectConfig) -> dict[str, Path]:
         The files that were written, by name.
     """
     torch.set_num_threads(1)
-    policy, contents = load_policy(config.checkpoint)
+    policy, contents = load_policy(config.checkpoint, allow_import=config.allow_import)
     graphs = play_episode(policy, config, TrainConfig.from_dict(contents["train_config"]))
     last = len(graphs) - 1
     steps = sorted({min(step, last) for step in config.steps})

@@ -22,6 +22,7 @@ from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoin
 from maniskill_grpd.learning.checkpoint import describe_differences
 from maniskill_grpd.policies import Policy, policy_from_config
 from maniskill_grpd.processor import processor_name
+from maniskill_grpd.tasks.options.env_id import check_env_id
 
 _PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
 
@@ -57,17 +58,24 @@ def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) 
     return ManiSkillVectorEnv(env, num_envs, ignore_terminations=not partial_reset, record_metrics=True)
 
 
-def load_policy(path: str | Path, device: str | torch.device = "cpu") -> tuple[Policy, dict[str, Any]]:
+def load_policy(
+    path: str | Path, device: str | torch.device = "cpu", *, allow_import: bool = False
+) -> tuple[Policy, dict[str, Any]]:
     """Rebuild the policy of a checkpoint.
 
     Args:
         path: The checkpoint.
         device: Where the policy goes.
+        allow_import: Whether the id of its task may name a module, which is imported when the task is made.
 
     Returns:
         The policy, and the other contents of the checkpoint.
+
+    Raises:
+        ValueError: If the id of its task names a module and that is not allowed.
     """
     contents = load_checkpoint(path)
+    check_env_id(contents["train_config"].get("env_id"), str(path), allow_import=allow_import)
     policy = policy_from_config(contents["policy"])
     policy.load_state_dict(contents["weights"])
     return policy.to(device).eval(), contents
@@ -126,16 +134,23 @@ def write_run_record(run_dir: Path, config: TrainConfig, device: torch.device, n
     (run_dir / "config.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
-def read_run_config(run_dir: Path) -> TrainConfig:
+def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig:
     """Read the options of a run back from its config.json.
+
+    Args:
+        run_dir: Folder of the run.
+        allow_import: Whether the id of its task may name a module, which is imported when the task is made.
 
     Raises:
         FileNotFoundError: If the folder is not one of a run.
+        ValueError: If the id of its task names a module and that is not allowed.
     """
     path = run_dir / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{run_dir} is not the folder of a run: it has no config.json")
-    return TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8"))["config"])
+    config = TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8"))["config"])
+    check_env_id(config.env_id, str(path), allow_import=allow_import)
+    return config
 
 
 def describe_episodes(episodes: Mapping[str, torch.Tensor]) -> str:

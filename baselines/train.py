@@ -130,12 +130,17 @@ def finish(trainer: Trainer) -> None:
 
 
 def parse_config(arguments: Sequence[str]) -> TrainConfig:
-    """Parse the command line; with --resume the options of that run are the defaults."""
+    """Parse the command line; with --resume the options of that run are the defaults.
+
+    With --allow_import the id of that run's task may be of the form module:id, which runs the code of the module.
+    """
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--resume", type=Path)
     resumed = finder.parse_known_args(arguments)[0].resume
-    default = TrainConfig() if resumed is None else read_run_config(resumed)
-    return tyro.cli(TrainConfig, args=list(arguments), default=dataclasses.replace(default, resume=None), description=__doc__)
+    allow_import = "--allow_import" in arguments
+    arguments = [word for word in arguments if word != "--allow_import"]
+    default = TrainConfig() if resumed is None else read_run_config(resumed, allow_import=allow_import)
+    return tyro.cli(TrainConfig, args=arguments, default=dataclasses.replace(default, resume=None), description=__doc__)
 
 
 def main(arguments: Sequence[str]) -> int:

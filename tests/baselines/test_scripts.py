@@ -18,7 +18,7 @@ import record_video
 import train
 from checkpoint_card import UNIMPORTANT
 
-from maniskill_grpd.learning import TrainConfig, load_checkpoint
+from maniskill_grpd.learning import TrainConfig, load_checkpoint, save_checkpoint
 from maniskill_grpd.learning.run_log import read_rows
 
 SIZES = "--num_envs 4 --num_steps 5 --num_minibatches 2 --update_epochs 1 --num_eval_envs 2"
@@ -162,6 +162,23 @@ def test_evaluation_refuses_a_task_with_other_channels(run_dir, tmp_path, capsys
     error = capsys.readouterr().err
     assert "trained on other observations" in error
     assert "temperature" in error
+
+
+def test_a_checkpoint_or_run_imports_the_module_that_it_names_only_when_allowed(run_dir, tmp_path, monkeypatch, capsys):
+    (tmp_path / "planted.py").write_text("from pathlib import Path\nPath(__file__).with_suffix('.ran').touch()\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    contents = load_checkpoint(run_dir / "final_ckpt.pt")
+    contents["train_config"]["env_id"] = "planted:RopeShaping-v1"
+    save_checkpoint(tmp_path / "edited.pt", contents)
+    (tmp_path / "config.json").write_text(json.dumps({"config": contents["train_config"]}))
+    command = ["--checkpoint", str(tmp_path / "edited.pt"), "--num_episodes", "1"]
+    for script, arguments in ((evaluate, command), (train, ["--resume", str(tmp_path)])):
+        assert script.main(arguments) == 1
+        assert "would import the Python module 'planted'" in capsys.readouterr().err
+    assert not (tmp_path / "planted.ran").exists()
+    assert evaluate.main([*command, "--allow_import"]) == 0
+    assert (tmp_path / "planted.ran").exists()
+    assert train.parse_config(["--resume", str(tmp_path), "--allow_import"]).env_id == "planted:RopeShaping-v1"
 
 
 def test_evaluation_of_a_missing_file_is_one_line(capsys):

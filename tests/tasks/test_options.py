@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
+from maniskill_grpd.tasks.options.env_id import check_env_id
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.seeds import expand_seeds
 
@@ -61,3 +62,14 @@ def test_seeds():
     assert expand_seeds(5, 4)[:3] == expand_seeds([5], 3)
     with pytest.raises(ValueError, match="expected 1 or 3 seeds.*got 2"):
         expand_seeds([1, 2], 3)
+
+
+def test_an_id_from_a_file_imports_a_module_only_when_allowed():
+    assert check_env_id("RopeShaping-v1", "a.pt", allow_import=False) == "RopeShaping-v1"
+    assert check_env_id("mine:Knot-v1", "a.pt", allow_import=True) == "mine:Knot-v1"
+    for env_id in ("mine:Knot-v1", "os.path:Knot-v1", ":Knot-v1", "a:b:Knot-v1"):
+        with pytest.raises(ValueError, match="a.pt: env_id .* would import the Python module .* --allow_import"):
+            check_env_id(env_id, "a.pt", allow_import=False)
+    for env_id in (None, 3, ""):
+        with pytest.raises(ValueError, match="must be the id of a task"):
+            check_env_id(env_id, "a.pt", allow_import=True)
