@@ -187,6 +187,8 @@ def _fit_bending(
     corners, hinge_faces = _hinges_with_mirrored(points, surface, faces_of_edges)
     weights = _hinge_weights(corners)
     is_row = np.abs(weights[:, :2]).min(axis=1) < 1e-5 * np.abs(weights).max(axis=1)
+    triples, row_vectors, row_members = _rows(points, surface, faces_of_edges) if is_row.any() else _no_rows()
+    is_row &= len(triples) > 0  # right angles of a lattice that is turned out of the axes belong to no row
     num_inner = len(surface.face_adjacency)
     kept = np.flatnonzero(~is_row)
     centered = corners - corners.mean(axis=1, keepdims=True)
@@ -194,7 +196,6 @@ def _fit_bending(
     form = 0.5 * (weights[..., None] * products).sum(axis=1)[kept]
     members = np.repeat(hinge_faces[kept], 2, axis=1)
 
-    triples, row_vectors, row_members = _rows(points, surface, faces_of_edges) if is_row.any() else _no_rows()
     row_form = np.column_stack([row_vectors**2, row_vectors[:, 0] * row_vectors[:, 1]])
     target = quartic_coefficients(np.array([[1.0, 1.0, 0.0]]))[0] * bend_stiffness
     stiffness = fit_stiffness(
@@ -259,7 +260,7 @@ def _rows(points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarr
         else:
             continue
         vectors.append(step)
-    return np.array(triples), np.array(vectors), np.array(members)
+    return (np.array(triples), np.array(vectors), np.array(members)) if triples else _no_rows()
 
 
 def _no_rows() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -194,8 +194,60 @@ def test_cloth_pulled_over_a_peg_is_not_pierced():
         (lambda: prism([[0, 0], [1, 0], [0.1, 0.1], [0, 1]], 0.1), "convex"),
         (lambda: prism(np.random.default_rng(0).normal(size=(2, 2)), 0.1), "polygon"),
         (lambda: triangle_mesh(np.zeros((3, 3)), [[0, 1, 3]]), "index"),
+        (lambda: triangle_mesh(np.zeros((3, 3)), [[0.0, 1.0, 2.0]]), "whole numbers.*float64"),
     ],
 )
 def test_colliders_refuse_bad_input(build, message):
     with pytest.raises(ValueError, match=message):
         build()
+
+
+BOX = trimesh.creation.box((0.2, 0.2, 0.2))
+
+
+def test_a_mesh_with_reversed_faces_does_not_swallow_the_cloth():
+    """It is refused, and the message names the remedy; the remedied one carries all of the cloth."""
+    reversed_faces = BOX.faces[:, ::-1]
+    with pytest.raises(ValueError, match=r"counter-clockwise.*part 0 of 1.*-0\.008 m\^3.*faces\[:, ::-1\]"):
+        triangle_mesh(BOX.vertices, reversed_faces)
+    solver = Solver(
+        cloth(square_outline(0.3), num_nodes=100), 1, 1, colliders=[triangle_mesh(BOX.vertices, reversed_faces[:, ::-1])]
+    )
+    solver.collider_positions[0, 0, 2] = 0.1
+    start = solver.positions.clone()
+    start[..., 2] += 0.22
+    solver.reset(torch.tensor([0]), start)
+    for _ in range(40):
+        solver.step()
+    inside = (solver.positions[0, :, :2].abs() < 0.095).all(1) & (solver.positions[0, :, 2] < 0.19)
+    assert inside.sum() == 0
+    assert solver.positions[0, :, 2].max() > 0.19
+
+
+def test_meshes_without_an_inside_are_refused_by_name():
+    with pytest.raises(ValueError, match="12 of 12 have none, the first is face 0"):
+        triangle_mesh(BOX.vertices, np.zeros_like(BOX.faces))
+    with pytest.raises(ValueError, match="must be closed, 3 of 18 edges"):
+        triangle_mesh(BOX.vertices, BOX.faces[1:])
+    with pytest.raises(ValueError, match="same way round"):
+        triangle_mesh(BOX.vertices, np.concatenate([BOX.faces[:1, ::-1], BOX.faces[1:]]))
+    with pytest.raises(ValueError, match=r"signed volume 0 m\^3"):
+        triangle_mesh(np.eye(3), [[0, 1, 2], [2, 1, 0]])
+
+
+def test_each_part_of_a_mesh_is_judged_for_itself():
+    beside, small = BOX.copy(), BOX.copy()
+    beside.apply_translation([1.0, 0.0, 0.0])
+    small.apply_scale(0.5)
+    flipped = [trimesh.Trimesh(part.vertices, part.faces[:, ::-1], process=False) for part in (beside, small)]
+    for parts in ([BOX, beside], [BOX, small], [BOX, flipped[1]]):  # two solids, a solid in a solid, a cavity
+        both = trimesh.util.concatenate(parts)
+        assert triangle_mesh(both.vertices, both.faces).faces.shape == (24, 3)
+    both = trimesh.util.concatenate([BOX, flipped[0]])  # its whole volume is 0, as good as positive
+    with pytest.raises(ValueError, match="part 1 of 2"):
+        triangle_mesh(both.vertices, both.faces)
+
+
+def test_vertices_of_a_mesh_may_be_repeated_for_each_face():
+    soup = BOX.triangles.reshape(-1, 3)
+    assert triangle_mesh(soup, np.arange(36).reshape(12, 3)).vertices.shape == (36, 3)

@@ -76,11 +76,10 @@ def _place_points(outline: np.ndarray, holes: list[np.ndarray], divisions: int) 
         step = size / counts
         spacing = float(step.max())
     else:
-        edge = outline[(corner[0] + 1) % len(outline)] - outline[corner[0]] if 2 < len(corner) == len(outline) else None
-        length = np.linalg.norm(edge) if edge is not None else _perimeter(outline) / 6.0
+        length = np.linalg.norm(outline[1] - outline[0]) if _is_equilateral(outline, corner) else _perimeter(outline) / 6.0
         spacing = float(length / divisions)
-    sides = step if rectilinear else np.full(2, spacing)
-    boundaries = [_sample_boundary(outline, sides), *(_sample_boundary(hole, np.full(2, spacing)) for hole in holes)]
+    steps = step if rectilinear else np.full(2, spacing)
+    boundaries = [_sample_boundary(outline, steps), *(_sample_boundary(hole, np.full(2, spacing)) for hole in holes)]
     if rectilinear:
         low, high = outline.min(axis=0), outline.max(axis=0)
         axes = [np.linspace(low[k], high[k], int(counts[k]) + 1) for k in range(2)]
@@ -98,6 +97,12 @@ def _place_points(outline: np.ndarray, holes: list[np.ndarray], divisions: int) 
 def _is_rectilinear(outline: np.ndarray) -> bool:
     sides = np.abs(np.roll(outline, -1, axis=0) - outline)
     return bool((sides.min(axis=1) <= 1e-9 * sides.max()).all())
+
+
+def _is_equilateral(outline: np.ndarray, corners: np.ndarray) -> bool:
+    """Return whether all vertices of a polygon are corners and all its sides are equally long."""
+    sides = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
+    return 2 < len(corners) == len(outline) and np.ptp(sides) < 1e-6 * sides.max()
 
 
 def _perimeter(polygon: np.ndarray) -> float:
