@@ -1,4 +1,4 @@
-"""What the figures of a benchmark were measured on."""
+"""The machine on which a benchmark was measured."""
 
 from __future__ import annotations
 

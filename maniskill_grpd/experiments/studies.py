@@ -206,8 +206,8 @@ def _under_noise(task: Task, *resolutions: int) -> Task:
 NOISE = Study(
     name="noise",
     title="Noise on observations",
-    question="How much Gaussian noise on all observed positions [m] and velocities [m/s] does a policy bear that was trained "
-    "without, and is it less on finer objects? Fig. 5.",
+    question="How much Gaussian noise on all observed positions [m] and velocities [m/s] does a policy tolerate that was trained "
+    "without noise, and does it tolerate less on finer objects? Fig. 5.",
     tasks=(_under_noise(ROPE_SHAPING, 81, 161), _under_noise(CLOTH_FOLDING, 400, 1225)),
     arms=ALL_POLICIES,
     trained_by="main",

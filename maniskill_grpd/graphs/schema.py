@@ -148,7 +148,7 @@ class GraphSchema:
         return cls(**nodes, length_scale=float(plain["length_scale"]), edge_length=float(plain["edge_length"]))
 
     def describe(self) -> str:
-        """Table of all channels for people."""
+        """Human-readable table of all channels."""
         rows = [("node", "kind", "index", "channel", "unit", "source")]
         for node_type in NODE_TYPES:
             node = self.node(node_type)

@@ -13,7 +13,7 @@ def keep_freed_memory() -> bool:
     """Tell glibc to reuse large freed blocks instead of returning them to the kernel.
 
     Activations of a minibatch are blocks of a megabyte that are freed and allocated again hundreds
-    of times per second; each time the kernel would map and zero their pages anew.
+    of times per second; each time the kernel would map and zero their pages again.
 
     Returns:
         Whether it took effect: False where the C library is another one.

@@ -110,7 +110,7 @@ class TrainConfig:
     anneal_lr: bool = False
     """let the learning rate fall linearly to zero, the same as --lr_schedule linear"""
     lr_schedule: str = "constant"
-    """way of the learning rate to zero: constant (stays), linear or cosine"""
+    """schedule of the learning rate: constant, or linear or cosine to zero"""
     gamma: float = 0.99
     """discount"""
     gae_lambda: float = 0.95
@@ -124,11 +124,11 @@ class TrainConfig:
     noise_correlation: float = 0.0
     """correlation of the action noise between consecutive steps, in [0, 1): what explores further at the same deviation"""
     noise_schedule: str = "constant"
-    """way of that correlation to zero: constant (stays), linear or cosine"""
+    """schedule of that correlation: constant, or linear or cosine to zero"""
     ent_coef: float = 0.0
     """weight of the entropy bonus"""
     ent_schedule: str = "constant"
-    """way of that weight to zero: constant (stays), linear or cosine"""
+    """schedule of that weight: constant, or linear or cosine to zero"""
     entropy_floor: float | None = None
     """projection: smallest entropy of an actuator's Gaussian [nats]; 2.2 at the initial deviation of 0.5, -1 at 0.17"""
     entropy_floor_final: float | None = None

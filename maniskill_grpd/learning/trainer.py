@@ -40,8 +40,8 @@ class Trainer:
     evaluation with the highest (best_metric, return), `final_ckpt.pt` at the end.
 
     A resumed run continues bit for bit (same machine, same thread count) as if it had never been
-    broken. The state of the simulation is not stored for that: after every checkpoint, in broken
-    and unbroken runs alike, all environments are reset with seeds that follow from (seed,
+    interrupted. The state of the simulation is not stored for that: after every checkpoint, in interrupted
+    and uninterrupted runs alike, all environments are reset with seeds that follow from (seed,
     iteration). With rollouts of whole episodes nothing is lost by it; otherwise episodes are cut
     there, and the value of their last observation stands for the rest.
 

@@ -92,7 +92,7 @@ class Solver(WorldState):
             num_worlds: Number of worlds B, >= 1.
             num_grippers: Number of grippers A, >= 1.
             control_dt: Duration of one `step()` [s], > 0.
-            substeps: XPBD substeps in one `step()`, >= 1. More substeps are stiffer and dearer. By default what the model needs
+            substeps: XPBD substeps in one `step()`, >= 1. More substeps are stiffer and slower. By default what the model needs
                 for a step of 0.05 s, 20 for ropes.
             device: "cpu" or a CUDA device.
             num_threads: CPU threads that share the worlds; by default all cores, but at least 16 worlds per thread.

@@ -94,7 +94,7 @@ def test_a_study_that_is_killed_goes_on_and_tables_and_pictures_come_out(folder,
     assert (broken[0] / "tests" / "as trained.json").exists()
     page = (RUNS / "results" / "main.md").read_text()
     assert "| RopeShaping-v1 | as trained | 200 | 0 to 1 |" in page
-    assert "1 runs finished, 0 failed" in page
+    assert "Runs finished: 1, failed: 0" in page
     assert {"main_bars.png", "main_curves.png"} <= {path.name for path in (RUNS / "results").iterdir()}
     data = RUNS / "results" / "data"
     assert sorted(row["policy"] for row in rows(data / "runs.csv")) == ["", "grpd"]
@@ -123,7 +123,7 @@ def test_a_failed_run_is_marked_with_its_log_and_the_others_go_on(toy, capsys):
     assert record["script"] == "train.py"
     assert "unknown option 'no_such_option'" in Path(record["log"]).read_text()
     page = (RUNS / "results" / "toy.md").read_text()
-    assert "1 runs finished, 1 failed" in page
+    assert "Runs finished: 1, failed: 1" in page
     assert page.count("| failed |") == 1
 
 

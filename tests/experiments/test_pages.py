@@ -112,7 +112,7 @@ def test_a_page_has_tables_and_pictures_and_comes_out_the_same_twice(results, tm
     write_results(tmp_path / "data", results)
     page = write_study_page(STUDY, tmp_path)
     text = page.read_text()
-    for part in ("# Toy", "9 runs finished, 1 failed", "## Claims", "## Success", "## Return", "not by hand"):
+    for part in ("# Toy", "Runs finished: 9, failed: 1", "## Claims", "## Success", "## Return", "not by hand"):
         assert part in text
     for kind in ("bars", "curves", "lines", "heat_map"):
         assert f"(toy_{kind}.png)" in text

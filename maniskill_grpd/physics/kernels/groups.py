@@ -133,7 +133,7 @@ def settle_node(group: int, node: int, radius: float, dt: float, groups: Any):
 
 @wp.func
 def sum_tethers(group: int, gripper: int, num_nodes: int, groups: Any):
-    """Sum up with what the tethers of a gripper pulled at it."""
+    """Add the impulses of a gripper's tethers to its total."""
     total = spread(groups.pulls[group, gripper], 0.0)
     for node in range(num_nodes):
         total = total + groups.tether_impulses[gripper, group, node]
