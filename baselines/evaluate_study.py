@@ -17,14 +17,14 @@ from typing import Any
 
 import torch
 import tyro
-from evaluate import EvalConfig, play, task_config
-from run_setup import load_policy
 
 from maniskill_grpd.experiments import Condition, Study, Task, find_study
 from maniskill_grpd.experiments.records import TEST_FOLDER
 from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import CheckpointError, TrainConfig
 from maniskill_grpd.policies import Policy
+from maniskill_grpd.runs.checkpoints import load_policy
+from maniskill_grpd.runs.play import change_task, play
 
 REFUSALS = (ValueError, TypeError, CheckpointError)
 """What a task raises for an option it does not take, and a policy for observations it does not know."""
@@ -115,8 +115,7 @@ def find_task(study: Study, trained: TrainConfig) -> Task:
 
 def test(config: StudyEvalConfig, policy: Policy, trained: TrainConfig, condition: Condition) -> dict[str, Any]:
     """Play the episodes of one condition and return means and values of all metrics."""
-    changed = EvalConfig(checkpoint=config.checkpoint, env_kwargs=to_pairs(condition.env_options))
-    task = task_config(changed, trained)
+    task = change_task(trained, env_kwargs=to_pairs(condition.env_options))
     seeds = range(config.seed, config.seed + config.num_episodes)
     episodes = play(policy, task, seeds, config.num_envs, sigma=condition.sigma)
     return {

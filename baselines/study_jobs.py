@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Literal
 
 from evaluate_study import is_played
-from run_setup import to_arguments
 
 from maniskill_grpd.experiments import Run, Study
 from maniskill_grpd.experiments.records import TEST_FOLDER
 from maniskill_grpd.experiments.study import AS_TRAINED, EXPERT, expert_run, to_pairs
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS
 from maniskill_grpd.learning.run_log import read_rows
+from maniskill_grpd.runs.record import to_arguments
 
 RUNS = Path("runs") / "ablate"
 """Folder of the runs of all studies; train.py puts them there because their names begin with "ablate/"."""

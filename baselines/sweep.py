@@ -23,11 +23,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from train import RUNS, parse_config
-
+from maniskill_grpd.commands.run_command import UsageError
+from maniskill_grpd.commands.train import parse_train_options
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.config import parse_options
 from maniskill_grpd.learning.run_log import read_rows
+from maniskill_grpd.runs.record import RUNS
 
 TRAIN = Path(__file__).with_name("train.py").resolve()
 
@@ -179,7 +180,7 @@ def make_runs(name: str, grid: Sequence[str], common: Sequence[str], num_process
 
     Raises:
         ValueError: If the grid cannot be read.
-        SystemExit: If a combination is not a valid configuration; the parser has said why.
+        UsageError: If a combination is not a valid configuration.
     """
     axes = {key: str(values).split(",") for key, values in parse_options("grid", tuple(grid)).items()}
     runs = {}
@@ -189,7 +190,7 @@ def make_runs(name: str, grid: Sequence[str], common: Sequence[str], num_process
         arguments = [*common, *(part for key, value in chosen.items() for part in (f"--{key}", value))]
         arguments += ["--exp_name", f"{name}/{label}"]
         run = Run(RUNS / name / label, tuple(arguments), num_processes)
-        runs[run] = parse_config(arguments)
+        runs[run] = parse_train_options(arguments)
     return runs
 
 
@@ -248,7 +249,7 @@ def main(arguments: Sequence[str]) -> int:
         executor = make_executor(options.cluster, RUNS / options.name / "jobs", parameters)
         sweep = Sweep(runs, executor, options.jobs)
         failed = sweep.run(options.interval)
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ValueError, OSError, RuntimeError, UsageError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

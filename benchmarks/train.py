@@ -11,6 +11,7 @@ runs grpd with bpp in two processes on the same batch, in turns with one process
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import math
 import os
@@ -21,25 +22,36 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import torch
 from machine import describe_machine, machine_line
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "baselines"), str(ROOT / "examples")]
+from maniskill_grpd.learning import TrainConfig, Trainer
+from maniskill_grpd.learning.allocator import keep_freed_memory
+from maniskill_grpd.learning.run_log import read_rows
+from maniskill_grpd.policies import make_policy
+from maniskill_grpd.runs.environments import make_vector_env
 
-import maniskill_ppo  # noqa: E402
-from run_setup import make_vector_env  # noqa: E402
-
-from maniskill_grpd.learning import TrainConfig, Trainer  # noqa: E402
-from maniskill_grpd.learning.allocator import keep_freed_memory  # noqa: E402
-from maniskill_grpd.learning.run_log import read_rows  # noqa: E402
-from maniskill_grpd.policies import make_policy  # noqa: E402
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "maniskill_ppo.py"
+"""The peer: an example, and so no module of a package."""
 
 PEER = "dense networks, ppo (stock style)"
 
 SIZES = {"env_id": "RopeShaping-v1", "num_envs": 64, "eval_freq": 0, "save_model": False, "capture_video": False}
+
+
+def load_peer() -> ModuleType:
+    """Import the example, which belongs to no package."""
+    spec = importlib.util.spec_from_file_location("maniskill_ppo", EXAMPLE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look for their annotations
+    spec.loader.exec_module(module)
+    return module
+
+
+maniskill_ppo = load_peer()
 
 
 def make_ours(algorithm: str, folder: str, **options: Any) -> Trainer:
@@ -169,9 +181,9 @@ def run_processes(count: int, iterations: int = 3) -> float:
     command = [sys.executable]
     if count > 1:
         command += ["-m", "torch.distributed.run", "--standalone", f"--nproc_per_node={count}"]
-    command += [str(ROOT / "baselines" / "train.py"), "--exp_name", "benchmark", "--eval_freq", "0", "--no-save_model"]
-    command += ["--no-capture_video", "--total_timesteps", str(steps * (iterations + 1))]
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    command += ["-m", "maniskill_grpd", "train", "--exp_name", "benchmark", "--eval_freq", "0", "--no_save_model"]
+    command += ["--no_capture_video", "--total_timesteps", str(steps * (iterations + 1))]
+    env = {**os.environ, "OMP_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(command, cwd=folder, env=env, check=True, capture_output=True)
         rows = read_rows(Path(folder) / "runs" / "benchmark" / "metrics.jsonl", "train")

@@ -24,10 +24,7 @@ import torch
 
 import maniskill_grpd  # noqa: F401  (registers the task)
 from maniskill_grpd.experts import make_expert
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "baselines"))
-
-from run_setup import load_policy  # noqa: E402
+from maniskill_grpd.runs.checkpoints import load_policy
 
 NUM_WORLDS = 200
 FIRST_SEED = 1_000_000

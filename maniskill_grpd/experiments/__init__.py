@@ -5,7 +5,6 @@ folders `records` reads into the rows of `results`; `study_data` picks what answ
 `tables`, `plots` and `pages` show it.
 """
 
-from maniskill_grpd.experiments.noisy_observer import NoisyObserver
 from maniskill_grpd.experiments.statistics import (
     bootstrap_interval,
     interquartile_mean,
@@ -19,7 +18,6 @@ __all__ = [
     "STUDIES",
     "Arm",
     "Condition",
-    "NoisyObserver",
     "Run",
     "Study",
     "Task",

@@ -4,8 +4,8 @@ import pytest
 import torch
 from random_graphs import SCHEMA, make_graph
 
-from maniskill_grpd.experiments import NoisyObserver
 from maniskill_grpd.policies import make_policy
+from maniskill_grpd.runs.noisy_observer import NoisyObserver
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,11 @@ import torch
 
 pytest.importorskip("mani_skill")
 
-import bc
-import inspect_policy
-
+from maniskill_grpd.commands import inspect
+from maniskill_grpd.imitation.clone_config import CloneConfig
+from maniskill_grpd.imitation.cloning import save_clone
 from maniskill_grpd.policies import POLICIES, make_policy
+from maniskill_grpd.runs.inspection import describe_spread, node_contribution, node_sensitivity, principal_components
 
 OPTIONS = {"graph_nodes": 7, "resolution": 20, "num_grippers": 2}
 
@@ -34,12 +35,11 @@ def fresh(name, schema):
 
 @pytest.mark.parametrize("name", sorted(POLICIES))
 def test_pictures_of_a_fresh_checkpoint(name, scene, tmp_path, capsys):
-    schema, graph = scene
-    config = bc.BCConfig(env_kwargs=tuple(f"{k}={v}" for k, v in OPTIONS.items()))
-    demonstrations = bc.Demonstrations(graph=graph, actions=torch.zeros(1, 2, 3), episode=torch.zeros(1, dtype=torch.long))
-    bc._save(tmp_path / "a.pt", fresh(name, schema), config, demonstrations)
+    schema, _ = scene
+    config = CloneConfig(env_kwargs=tuple(f"{k}={v}" for k, v in OPTIONS.items()))
+    save_clone(tmp_path / "a.pt", fresh(name, schema), config, num_observations=1)
     arguments = ["--checkpoint", str(tmp_path / "a.pt"), "--steps", "0", "500"]
-    assert inspect_policy.main([*arguments, "--out", str(tmp_path / "pictures")]) == 0
+    assert inspect.main([*arguments, "--output", str(tmp_path / "pictures")]) == 0
     printed = capsys.readouterr().out
     assert "step   0" in printed
     assert "step  99" in printed  # the last one, for want of a step 500
@@ -53,7 +53,7 @@ def test_sensitivity_is_the_slope_of_the_action(name, scene):
     """Central differences, the node moved and its goal left where it is."""
     schema, graph = scene
     policy, graph = fresh(name, schema).double(), _double(graph)
-    sensitivity = inspect_policy.node_sensitivity(policy, graph)
+    sensitivity = node_sensitivity(policy, graph)
     node, step = 2, 1e-6
     columns = []
     for axis in range(3):
@@ -82,7 +82,7 @@ def test_channels_the_test_relies_on(scene):
 def test_contribution_is_the_change_without_the_node(scene):
     schema, graph = scene
     policy = fresh("grpd", schema)
-    contribution = inspect_policy.node_contribution(policy, graph)
+    contribution = node_contribution(policy, graph)
     mask = graph["object"]["mask"].clone()
     mask[0, 3] = False
     without = policy.distribution({**graph, "object": {**graph["object"], "mask": mask}}).mean
@@ -94,8 +94,8 @@ def test_every_node_counts_for_grpd(scene):
     """Complete edges from objects to actuators (eq. 11, 47)."""
     schema, graph = scene
     policy = fresh("grpd", schema)
-    assert (inspect_policy.node_sensitivity(policy, graph) > 0.0).all()
-    assert (inspect_policy.node_contribution(policy, graph) > 0.0).all()
+    assert (node_sensitivity(policy, graph) > 0.0).all()
+    assert (node_contribution(policy, graph) > 0.0).all()
 
 
 def test_a_masked_node_has_no_influence(scene):
@@ -105,8 +105,8 @@ def test_a_masked_node_has_no_influence(scene):
     mask[0, 3] = False
     masked = {**graph, "object": {**graph["object"], "mask": mask}}
     policy = fresh("grpd", schema)
-    assert (inspect_policy.node_sensitivity(policy, masked)[:, 3] == 0.0).all()
-    assert (inspect_policy.node_contribution(policy, masked)[:, 3] < 1e-6).all()
+    assert (node_sensitivity(policy, masked)[:, 3] == 0.0).all()
+    assert (node_contribution(policy, masked)[:, 3] < 1e-6).all()
 
 
 def test_principal_components_of_a_plane():
@@ -114,22 +114,21 @@ def test_principal_components_of_a_plane():
     generator = torch.Generator().manual_seed(0)
     frame = torch.linalg.qr(torch.randn(5, 2, generator=generator, dtype=torch.float64))[0]
     plane = torch.randn(30, 2, generator=generator, dtype=torch.float64) * torch.tensor([3.0, 1.0])
-    points, share = inspect_policy.principal_components(plane @ frame.T + 1.0)
+    points, share = principal_components(plane @ frame.T + 1.0)
     assert share.sum().item() == pytest.approx(1.0)
     torch.testing.assert_close(torch.cdist(points, points), torch.cdist(plane, plane))
 
 
 def test_influence_of_one_node_is_described():
-    spread = inspect_policy.describe_spread(torch.eye(4)[:1], torch.ones(1, 4))
+    spread = describe_spread(torch.eye(4)[:1], torch.ones(1, 4))
     assert "sensitivity: 1.0 of 4" in spread
     assert "contribution: 4.0 of 4" in spread
 
 
 def test_mistakes_are_one_line(capsys):
-    assert inspect_policy.main(["--checkpoint", "none.pt"]) == 1
+    assert inspect.main(["--checkpoint", "none.pt"]) == 1
     assert "no checkpoint at none.pt" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        inspect_policy.main(["--checkpoint", "none.pt", "--steps", "-1"])
+    assert inspect.main(["--checkpoint", "none.pt", "--steps", "-1"]) == 2
     assert "steps must be" in capsys.readouterr().err
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from run_setup import describe_episodes, to_arguments
 
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.policies import Policy
+from maniskill_grpd.runs.episodes import describe_episodes
+from maniskill_grpd.runs.record import to_arguments
 
 UNIMPORTANT = frozenset({"checkpoint", "exp_name", "resume", "capture_video"})
 """Options that say nothing about what was trained."""
@@ -39,7 +40,7 @@ def write_card(
     trained = TrainConfig.from_dict(contents["train_config"])
     given = dataclasses.replace(trained, **{name: getattr(TrainConfig(), name) for name in UNIMPORTANT})
     words = ["--env_id", trained.env_id, *to_arguments(dataclasses.replace(given, env_id=TrainConfig().env_id))]
-    command = shlex.join(["python", "baselines/train.py", *words])
+    command = shlex.join(["maniskill-grpd", "train", *words])
     size = sum(weight.numel() for weight in policy.parameters())
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(
@@ -53,7 +54,7 @@ def write_card(
 | trained for | {contents["global_step"]:,} of {trained.total_timesteps:,} environment steps |
 | trained with | `{command}` |
 
-Result of `python baselines/evaluate.py {shlex.join(arguments)}`, seeds that training never sees:
+Result of `maniskill-grpd evaluate {shlex.join(arguments)}`, seeds that training never sees:
 
 ```text
 {describe_episodes(episodes)}

@@ -9,8 +9,7 @@ import torch
 
 pytest.importorskip("mani_skill")
 
-import record_demonstrations
-
+from maniskill_grpd.commands import record
 from maniskill_grpd.experts import EXPERTS
 from maniskill_grpd.tasks import RopeShapingEnv
 from maniskill_grpd.trajectory.replay import replay
@@ -19,7 +18,7 @@ from maniskill_grpd.trajectory.replay import replay
 @pytest.mark.parametrize("env_id", sorted(EXPERTS))
 def test_experts_record_successes_that_replay_from_state_and_from_actions(env_id, tmp_path):
     arguments = ["--env_id", env_id, "--num_episodes", "3", "--num_envs", "2", "--seed", "40", "--output", str(tmp_path)]
-    assert record_demonstrations.main([*arguments, "--sim_backend", "cpu"]) == 0
+    assert record.main([*arguments, "--sim_backend", "cpu"]) == 0
     path = tmp_path / "trajectory.h5"
     episodes = json.loads(path.with_suffix(".json").read_text())["episodes"]
     assert [episode["episode_seed"] for episode in episodes] == [40, 41, 42]
@@ -40,12 +39,12 @@ def test_episodes_that_fail_are_not_glued_to_the_next_ones_that_succeed(tmp_path
     is_good = lambda env: torch.as_tensor(np.asarray(env._episode_seed) >= 2)  # noqa: E731
     monkeypatch.setattr(RopeShapingEnv, "evaluate", lambda self: evaluate(self) | {"success": is_good(self)})
     arguments = ["--num_episodes", "4", "--num_envs", "2", "--output", str(tmp_path), "--env_kwargs", "max_episode_steps=3"]
-    assert record_demonstrations.main([*arguments, "--sim_backend", "cpu"]) == 0
+    assert record.main([*arguments, "--sim_backend", "cpu"]) == 0
     with h5py.File(tmp_path / "trajectory.h5") as file:
         assert [len(file[name]["actions"]) for name in file] == [3, 3]
 
 
 def test_recordings_are_not_overwritten(tmp_path, capsys):
     (tmp_path / "trajectory.h5").touch()
-    assert record_demonstrations.main(["--output", str(tmp_path)]) == 1
+    assert record.main(["--output", str(tmp_path)]) == 1
     assert "exists; choose another --output" in capsys.readouterr().err

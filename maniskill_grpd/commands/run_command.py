@@ -1,0 +1,105 @@
+"""The one way in which commands parse their options, run, and report what the user can mend."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import io
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import tyro
+
+from maniskill_grpd.commands.dispatch import PROGRAM
+from maniskill_grpd.learning import CheckpointError, NonFiniteError
+
+Config = TypeVar("Config")
+
+MENDABLE = (ValueError, OSError, CheckpointError, NonFiniteError)
+"""What the library raises where the user can help: the message says what was given and what is allowed."""
+
+BOX = "─│╭╮╰╯"
+"""Characters of the frame that tyro draws around its messages."""
+
+
+class UsageError(Exception):
+    """The options of a command cannot be read."""
+
+
+def run_command(function: Callable[[Config], Any], config: type[Config], arguments: Sequence[str]) -> int:
+    """Parse the options of a command, run it, and report errors in one line instead of a traceback.
+
+    Args:
+        function: The command, in a module whose docstring explains it and whose name is the command's.
+        config: Dataclass of its options; the docstrings of the fields explain them.
+        arguments: The words after the command.
+
+    Returns:
+        The exit code: 0 or what the function returns as an int, 1 if it failed, 2 for a wrong option, 130 if it was interrupted.
+    """
+    return report_errors(lambda: function(parse_options(function.__module__, config, arguments)))
+
+
+def report_errors(run: Callable[[], Any]) -> int:
+    """Call a function, report what the user can mend in one line, and return the exit code, see `run_command`."""
+    try:
+        result = run()
+    except UsageError as error:
+        return _report(error, 2)
+    except MENDABLE as error:
+        return _report(error, 1)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    return result if isinstance(result, int) else 0
+
+
+def parse_options(module: str, config: type[Config], arguments: Sequence[str], default: Any = tyro.MISSING_NONPROP) -> Config:
+    """Parse the words after a command.
+
+    Args:
+        module: Name of the command's module.
+        config: Dataclass of its options.
+        arguments: The words.
+        default: The options that stand where the words are silent, if not the defaults of the class.
+
+    Raises:
+        UsageError: In one line: what is wrong and what is allowed.
+        SystemExit: After `--help`.
+    """
+    command = f"{PROGRAM} {module.rpartition('.')[2]}"
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(
+                config,
+                prog=command,
+                description=sys.modules[module].__doc__,
+                args=list(arguments),
+                default=default,
+                use_underscores=True,
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        message = _unframed(complaint.getvalue())
+        if message.startswith("Unrecognized"):
+            message += f"; {command} takes {' '.join(_flags(config))}"
+        raise UsageError(message) from None
+
+
+def _flags(config: type) -> list[str]:
+    return [f"--{field.name}" for field in dataclasses.fields(config)]
+
+
+def _unframed(text: str) -> str:
+    """Return the first part of what tyro says, without its frame, in one line."""
+    lines = [line.strip(BOX + " ") for line in text.splitlines() if line.lstrip().startswith("│")]
+    end = lines.index("") if "" in lines else len(lines)
+    return " ".join(lines[:end]) or " ".join(text.split())
+
+
+def _report(error: Exception, code: int) -> int:
+    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,1 @@
+"""Learning from experts: demonstrations, cloning, and the same scenes turned."""

@@ -1,0 +1,88 @@
+"""Results of behaviour cloning, as a line and as a page."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+from maniskill_grpd.imitation.clone_config import CloneConfig
+from maniskill_grpd.imitation.demonstrations import Demonstrations
+from maniskill_grpd.runs.record import to_arguments
+
+
+def summarize(result: dict[str, Any]) -> str:
+    """Return the results of a policy in one line."""
+    played = ", ".join(
+        f"success at {poses} poses {means['success_at_end']:.0%} (mean distance {100 * means['mean_distance']:.1f} cm)"
+        for poses, means in result["rollouts"].items()
+    )
+    return (
+        f"validation error {result['validation_error']:.1%} after {result['gradient_steps']} steps "
+        f"({result['cpu_seconds']:.0f} CPU s); {played}"
+    )
+
+
+def to_markdown(
+    config: CloneConfig, results: list[dict[str, Any]], expert: dict[str, dict[str, float]], demonstrations: Demonstrations
+) -> str:
+    """Format the results of all policies, and what they can be held against, as a page."""
+    ranges = list(expert)
+    lines = [
+        "| policy | parameters | validation error | "
+        + " | ".join(f"success, {name} | mean distance, {name} [cm]" for name in ranges)
+        + " | training, CPU s |",
+        "|---|--:|--:|" + "--:|--:|" * len(ranges) + "--:|",
+    ]
+    for result in results:
+        cells = [result["policy"], f"{result['num_parameters']:,}", f"{result['validation_error']:.1%}"]
+        cells += _rollout_cells(result["rollouts"], ranges)
+        cells.append(f"{result['cpu_seconds']:.0f}")
+        lines.append("| " + " | ".join(cells) + " |")
+    lines.append("| " + " | ".join(["(expert)", "", "", *_rollout_cells(expert, ranges), ""]) + " |")
+    return PAGE.format(
+        command="maniskill-grpd clone " + shlex.join(to_arguments(config)),
+        demonstrated=_describe_source(config, demonstrations),
+        task=" ".join(config.env_kwargs),
+        num_observations=len(demonstrations.episode),
+        table="\n".join(lines),
+        **config.to_dict(),
+    )
+
+
+PAGE = """# Behaviour cloning
+
+Written by `{command}`.
+
+Every policy learned from the same {demonstrated} of {env_id} ({task}),
+{num_observations:,} observations. Training: {epochs} epochs of Adam, {batch_size} observations per step, learning rate
+{learning_rate} falling to zero along a cosine, loss {loss}, seed {seed}, one seed only.
+
+{table}
+
+- *validation error*: root mean square of |mean - expert's action| on held-out episodes, over that of the expert's action.
+- *success*: share of {num_test_episodes} episodes, on unseen seeds, that end in success, acting with the mean.
+- *{train_pose_range} turned*: poses of the demonstrated range, then rope and goal turned together by 90 to 270 degrees: no
+  demonstration had such an orientation, and nothing else differs.
+- *{test_pose_range}*: start and goal are drawn independently from the {test_pose_range} range: other orientations, and also
+  larger ways and angles between start and goal than were demonstrated.
+- *CPU s*: processor time of one thread, validation included.
+"""
+
+
+def _describe_source(config: CloneConfig, demonstrations: Demonstrations) -> str:
+    if config.demonstrations is not None:
+        return f"{demonstrations.num_episodes} episodes in {config.demonstrations.name}"
+    return (
+        f"{demonstrations.num_episodes} episodes of the expert (the first {config.num_steps} steps "
+        f"of each; start and goal from the {config.train_pose_range} pose range, a quarter being "
+        f"within 45 degrees and 3.75 cm of the middle; noise of {config.action_noise} of the "
+        "largest action on executed, not on recorded actions)"
+    )
+
+
+def _rollout_cells(rollouts: dict[str, dict[str, float]], ranges: list[str]) -> list[str]:
+    cells = []
+    for name in ranges:
+        means = rollouts[name]
+        cells += [f"{means['success_at_end']:.0%}", f"{100 * means['mean_distance']:.1f}"]
+    return cells

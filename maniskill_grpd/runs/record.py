@@ -1,0 +1,102 @@
+"""The record of how a run was made: options, versions, commit, machine."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import subprocess
+import sys
+import time
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import maniskill_grpd
+from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.processor import processor_name
+from maniskill_grpd.tasks.options.env_id import check_env_id
+
+RUNS = Path("runs")
+"""Folder of all runs, below the present one."""
+
+_PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
+
+
+def make_run_name(config: TrainConfig) -> str:
+    """Return `exp_name`, or a name that tells task, policy, algorithm, seed and time."""
+    if config.exp_name is not None:
+        return config.exp_name
+    return f"{config.env_id}__{config.policy}_{config.algorithm}__{config.seed}__{int(time.time())}"
+
+
+def to_arguments(config: TrainConfig) -> list[str]:
+    """Return the command line that gives the options that are not at their defaults."""
+    arguments = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value == field.default:
+            continue
+        if isinstance(value, bool):
+            arguments.append(f"--{field.name}" if value else f"--no_{field.name}")
+        else:
+            arguments += [f"--{field.name}", *(map(str, value) if isinstance(value, tuple) else [str(value)])]
+    return arguments
+
+
+def write_run_record(run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1) -> None:
+    """Write config.json: options, versions, commit, machine; enough to make the run again."""
+    record = {
+        "config": config.to_dict(),
+        "command": sys.argv,
+        "num_processes": num_processes,
+        "device": str(device),
+        "device_name": torch.cuda.get_device_name(device) if device.type == "cuda" else processor_name(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "versions": {"maniskill_grpd": maniskill_grpd.__version__, **_package_versions()},
+        "git": _git_state(),
+    }
+    run_dir.mkdir(parents=True, exist_ok=True)
+    (run_dir / "config.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig:
+    """Read the options of a run back from its config.json.
+
+    Args:
+        run_dir: Folder of the run.
+        allow_import: Whether the id of its task may name a module, which is imported when the task is made.
+
+    Raises:
+        FileNotFoundError: If the folder is not one of a run.
+        ValueError: If the id of its task names a module and that is not allowed.
+    """
+    path = run_dir / "config.json"
+    if not path.is_file():
+        raise FileNotFoundError(f"{run_dir} is not the folder of a run: it has no config.json")
+    config = TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8"))["config"])
+    check_env_id(config.env_id, str(path), allow_import=allow_import)
+    return config
+
+
+def _package_versions() -> dict[str, str]:
+    installed = {item.metadata["Name"].replace("_", "-"): item.version for item in distributions()}
+    return {name: installed.get(name, "not installed") for name in _PACKAGES}
+
+
+def _git_state() -> dict[str, Any] | None:
+    """Return commit and whether files differ from it; None outside a git checkout."""
+    folder = Path(__file__).parent
+    try:
+        commit = _git(folder, "rev-parse", "HEAD")
+        return {"commit": commit, "dirty": bool(_git(folder, "status", "--porcelain"))}
+    except (OSError, subprocess.CalledProcessError):
+        return None
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()

@@ -1,0 +1,109 @@
+"""Train as configured: environments, policy, trainer, record, pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
+
+from maniskill_grpd.learning import TrainConfig, Trainer
+from maniskill_grpd.learning.workers import Workers, join_workers
+from maniskill_grpd.policies import make_policy
+from maniskill_grpd.runs.environments import make_vector_env
+from maniskill_grpd.runs.learning_curve import plot_learning_curve
+from maniskill_grpd.runs.record import RUNS, make_run_name, write_run_record
+from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
+from maniskill_grpd.runs.video import record_video
+
+NUM_VIDEO_EPISODES = 4
+
+
+def train(config: TrainConfig) -> Path:
+    """Run a training as configured.
+
+    Args:
+        config: Options; with `resume` those of the run that goes on.
+
+    Returns:
+        The folder of the run.
+
+    Raises:
+        FileExistsError: If the folder already holds a run that is not to be resumed.
+    """
+    device = choose_device(config.sim_backend)
+    workers = join_workers(device)
+    run_dir = Path(config.resume) if config.resume else RUNS / workers.gather(make_run_name(config))[0]
+    # The first process alone looks, or it might have written the file before the others do.
+    is_taken = workers.gather((run_dir / "config.json").exists())[0]
+    if not config.resume and is_taken:
+        raise FileExistsError(f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name")
+    trainer = make_trainer(config, run_dir, workers)
+    if config.resume:
+        trainer.load(run_dir / "last.pt")
+    elif config.checkpoint:
+        trainer.load_weights(config.checkpoint)
+    if workers.is_first:
+        write_run_record(run_dir, config, trainer.envs.device, workers.size)
+    trainer.train()
+    if workers.is_first:
+        finish(trainer)
+    return run_dir
+
+
+def choose_device(sim_backend: str) -> torch.device:
+    """Return where this process computes; the processes of one machine each take a GPU of their own."""
+    if sim_backend == "cpu" or not torch.cuda.is_available():
+        return torch.device("cpu")
+    device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
+    torch.cuda.set_device(device)
+    return device
+
+
+def make_trainer(config: TrainConfig, run_dir: Path, workers: Workers | None = None) -> Trainer:
+    """Make environments, an untrained policy and the trainer."""
+    workers = workers or Workers()
+    local = workers.share("num_envs", config.num_envs)
+    envs = make_vector_env(config, local, partial_reset=config.partial_reset)
+    eval_envs = None
+    if config.eval_freq and workers.is_first:
+        eval_envs = make_vector_env(config, config.num_eval_envs, partial_reset=False)
+    torch.manual_seed(config.seed)
+    options = fit_policy_options(config.policy_options, envs)
+    policy = make_policy(config.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
+    size = sum(parameter.numel() for parameter in policy.parameters())
+    if workers.is_first:
+        print(
+            f"{config.env_id}: {config.num_envs} environments on {envs.device} in {workers.size} process(es); policy "
+            f"{config.policy} with {size:,} parameters; {config.algorithm}, {config.num_iterations} iterations of "
+            f"{config.batch_size:,} steps; {run_dir}"
+        )
+    return Trainer(config, policy, envs, eval_envs, run_dir, workers)
+
+
+def fit_policy_options(options: dict[str, Any], envs: ManiSkillVectorEnv) -> dict[str, Any]:
+    """Give the policy a gripper output exactly where the task takes one.
+
+    Raises:
+        ValueError: If the options say otherwise.
+    """
+    has_grippers = envs.unwrapped.control_mode == "pd_ee_delta_pos_grip"
+    if options.get("gripper", has_grippers) != has_grippers:
+        takes = "opens and closes grippers" if has_grippers else "has fixed grasps"
+        raise ValueError(
+            f"policy_kwargs says gripper={json.dumps(options['gripper'])} but the task {takes}; leave it out, or "
+            "choose with --env_kwargs grasp=free (or grasp=fixed)"
+        )
+    return {**options, "gripper": has_grippers} if has_grippers else options
+
+
+def finish(trainer: Trainer) -> None:
+    """Draw the learning curve and record the video of a trained policy."""
+    print(f"learning curve: {plot_learning_curve(trainer.run_dir)}")
+    if trainer.config.capture_video:
+        seeds = range(FIRST_VIDEO_SEED, FIRST_VIDEO_SEED + NUM_VIDEO_EPISODES)
+        path = trainer.run_dir / "videos" / "policy.mp4"
+        print(f"video: {record_video(trainer.policy, trainer.config, seeds, path)}")

@@ -1,0 +1,71 @@
+"""One program, its commands, and what it says about mistakes."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mani_skill")
+
+from maniskill_grpd.commands import COMMANDS, main
+from maniskill_grpd.commands.dispatch import describe_unknown
+
+PACKAGE = Path(importlib.import_module("maniskill_grpd").__file__).parent
+NOT_COMMANDS = {"__init__", "dispatch", "run_command"}
+
+
+def test_every_module_is_a_command_and_every_command_a_module():
+    modules = {path.stem for path in (PACKAGE / "commands").glob("*.py")}
+    assert modules - NOT_COMMANDS == set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_explains_itself(name, capsys):
+    with pytest.raises(SystemExit) as exit_info:
+        main([name, "--help"])
+    assert exit_info.value.code == 0
+    assert "usage: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_help_names_every_command_and_what_it_does(words, capsys):
+    assert main(words) == 0
+    printed = capsys.readouterr().out
+    for name, purpose in COMMANDS.items():
+        assert f"{name} " in printed
+        assert purpose in printed
+
+
+def test_an_unknown_command_is_one_line_with_those_there_are(capsys):
+    assert main(["trian"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "unknown command 'trian', did you mean 'train'?" in line
+    assert all(name in line for name in COMMANDS)
+    assert "did you mean" not in describe_unknown("xyz")
+
+
+def test_dashes_and_underscores_are_the_same_in_names_of_commands(capsys):
+    assert main(["evaluate-expert", "--num-episodes", "0"]) == 2
+    assert "num_episodes must be positive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"replay"}))
+def test_an_unknown_option_is_one_line_with_those_there_are(name, capsys):
+    assert main([name, *{"plot": ["runs"], "video": ["--checkpoint", "a.pt"]}.get(name, []), "--no_such_option", "3"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--no_such_option" in line
+    assert "takes --" in line or "required" in line
+
+
+def test_scripts_of_baselines_forward_to_commands():
+    """Every forwarder names a command that exists, and the program ends with its code."""
+    folder = PACKAGE.parent / "baselines"
+    forwarders = {path.stem: path.read_text() for path in folder.glob("*.py") if "import forward" in path.read_text()}
+    assert {"train", "evaluate", "bc", "record_demonstrations"} <= set(forwarders)
+    assert {text.split('forward("')[1].split('"')[0] for text in forwarders.values()} <= set(COMMANDS)
+    command = [sys.executable, str(folder / "plot_learning_curve.py"), "none"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "error: " in done.stderr
