@@ -29,7 +29,7 @@ from study_jobs import RUNS, Job, first_error, make_expert_jobs, make_jobs
 from maniskill_grpd.experiments import STUDIES, Study, find_study
 from maniskill_grpd.experiments.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
 from maniskill_grpd.experiments.results import save_runs
-from maniskill_grpd.learning.config import parse_options, require_positive
+from maniskill_grpd.learning.options import parse_options, require_positive
 
 POLL_SECONDS = 0.5
 DEFAULT_BUDGET = 1_000_000

@@ -26,7 +26,7 @@ from typing import Any
 from maniskill_grpd.commands.run_command import UsageError
 from maniskill_grpd.commands.train import parse_train_options
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import parse_options
+from maniskill_grpd.learning.options import parse_options
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.runs.record import RUNS
 

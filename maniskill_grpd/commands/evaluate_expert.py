@@ -14,7 +14,7 @@ import torch
 from maniskill_grpd.commands.run_command import run_command
 from maniskill_grpd.imitation.expert_actor import play_expert
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import require_positive
+from maniskill_grpd.learning.options import require_positive
 from maniskill_grpd.runs.episodes import describe_episodes, write_episodes
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 

@@ -13,7 +13,7 @@ import torch
 
 from maniskill_grpd.commands.run_command import run_command
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import require_positive
+from maniskill_grpd.learning.options import require_positive
 from maniskill_grpd.runs.checkpoints import load_policy
 from maniskill_grpd.runs.play import change_task
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED

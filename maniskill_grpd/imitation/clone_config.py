@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import require_positive
+from maniskill_grpd.learning.options import require_positive
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from mani_skill.utils import gym_utils
 from tqdm import tqdm
 
 from maniskill_grpd.experts import make_expert
-from maniskill_grpd.learning.config import parse_options, require_positive
+from maniskill_grpd.learning.options import parse_options, require_positive
 from maniskill_grpd.trajectory.episode_recorder import EpisodeRecorder
 
 

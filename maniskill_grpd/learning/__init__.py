@@ -5,10 +5,13 @@ from maniskill_grpd.learning.config import TrainConfig
 from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.projection import project_gaussian
+from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 from maniskill_grpd.learning.trainer import Trainer
 
 __all__ = [
+    "ActorCritic",
     "CheckpointError",
+    "GraphVecEnv",
     "NonFiniteError",
     "TrainConfig",
     "Trainer",

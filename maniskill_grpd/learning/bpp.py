@@ -3,18 +3,67 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import torch
 
 from maniskill_grpd.learning.bernoulli_projection import project_bernoulli
-from maniskill_grpd.learning.config import Coefficients
 from maniskill_grpd.learning.entropy_floor import raise_entropy
+from maniskill_grpd.learning.fisher import FisherBPP, FisherOptions
+from maniskill_grpd.learning.lagrangian import LagrangianBPP, LagrangianOptions
+from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.learning.projection import project_unchecked
 from maniskill_grpd.learning.rollout import Batch
+from maniskill_grpd.learning.schedule import Coefficients
 from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
-from maniskill_grpd.learning.update import FirstOrderAlgorithm, Metrics
+from maniskill_grpd.learning.update import Algorithm, FirstOrderAlgorithm, Metrics
 from maniskill_grpd.policies import ActionDistribution
+
+if TYPE_CHECKING:
+    from maniskill_grpd.learning.config import TrainConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class BPPOptions(LagrangianOptions, FisherOptions):
+    """Options of BPP, whichever way it keeps its trust region."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {
+        "trust_region_coef": "[0, inf)",
+        "entropy_floor": "(-inf, inf)",
+        "entropy_floor_final": "(-inf, inf)",
+    }
+
+    trust_region: Literal["projection", "lagrangian", "fisher"] = "projection"
+    """bpp: projection (differentiable), lagrangian (dual ascent) or fisher (natural gradient with line search)"""
+    trust_region_coef: float = 1.0
+    """projection: weight of the loss that draws the policy to its projection"""
+    entropy_floor: float | None = None
+    """projection: smallest entropy of an actuator's Gaussian [nats]; 2.2 at the initial deviation of 0.5, -1 at 0.17"""
+    entropy_floor_final: float | None = None
+    """projection: where the floor has come linearly by the end; by default it stays"""
+
+    def contradictions(self) -> dict[str, bool]:
+        """See `OptionGroup.contradictions`. The config that inherits this has `algorithm`, `target_kl` and `compile`."""
+        is_bpp = self.algorithm == "bpp"
+        is_fisher = is_bpp and self.trust_region == "fisher"
+        return {
+            **super().contradictions(),
+            f"--trust_region {self.trust_region} belongs to --algorithm bpp, not to {self.algorithm}": (
+                not is_bpp and self.trust_region != "projection"
+            ),
+            "--entropy_floor works with --algorithm bpp --trust_region projection only": (
+                self.entropy_floor is not None and not (is_bpp and self.trust_region == "projection")
+            ),
+            "--entropy_floor_final needs --entropy_floor, where it starts from": (
+                self.entropy_floor_final is not None and self.entropy_floor is None
+            ),
+            "--target_kl ends minibatch updates early; --trust_region fisher has a line search": (
+                self.target_kl is not None and is_fisher
+            ),
+            "--compile has no second derivatives, which --trust_region fisher needs; drop one": self.compile and is_fisher,
+        }
 
 
 @dataclass(kw_only=True)
@@ -36,9 +85,24 @@ class BPP(FirstOrderAlgorithm):
     Limitations: the bound on pi itself is therefore soft. `kl_raw_*` shows how well it is kept.
     """
 
+    Options: ClassVar[type[OptionGroup]] = BPPOptions
     bounds: Bounds
     trust_region_coef: float
     entropy_floor: float | None = None
+
+    @classmethod
+    def from_config(cls, config: TrainConfig) -> Algorithm:
+        """Return this way, or the other one that `config.trust_region` names; see `Algorithm.from_config`."""
+        if config.trust_region == "lagrangian":
+            return LagrangianBPP.from_config(config)
+        if config.trust_region == "fisher":
+            return FisherBPP.from_config(config)
+        return cls(
+            bounds=config.bounds,
+            trust_region_coef=config.trust_region_coef,
+            ent_coef=config.ent_coef,
+            entropy_floor=config.entropy_floor,
+        )
 
     def adopt(self, coefficients: Coefficients) -> None:
         """See `Algorithm.adopt`."""

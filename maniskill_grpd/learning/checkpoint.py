@@ -13,10 +13,6 @@ import torch
 
 FORMAT = "maniskill_grpd.checkpoint"
 VERSION = 2
-"""Version 1 ordered the weights of convolutions along mesh edges by radial function, then path; now the paths come first, as for
-all other edges. With one radial function the orders are the same, and version 1 is read."""
-_MESH_RADIAL = {"grpd": "num_local_radial", "empn": "num_radial"}
-"""Option that counts the radial functions along mesh edges, by policy."""
 
 _KEYS = {
     "policy": "what rebuilds the policy: its `config`, plain types",
@@ -31,9 +27,6 @@ _KEYS = {
     "best_score": "[best_metric, return] of best_ckpt.pt, None before the first evaluation",
 }
 
-
-_LATER_KEYS: dict[str, Any] = {"algorithm": {}}
-"""What entries that older checkpoints lack stand at in those."""
 
 _UNREADABLE = (RuntimeError, OSError, EOFError, ValueError, pickle.UnpicklingError, zipfile.BadZipFile)
 """What torch.load raises for files that are cut short or are something else."""
@@ -55,7 +48,6 @@ def save_checkpoint(path: str | os.PathLike[str], contents: dict[str, Any]) -> N
         OSError: If the file cannot be written, because the disk is full for example. What was
             there before is untouched.
     """
-    contents = {**_LATER_KEYS, **contents}
     if set(contents) != set(_KEYS):
         raise ValueError(f"a checkpoint holds {sorted(_KEYS)}, got {sorted(contents)}")
     buffer = io.BytesIO()
@@ -98,24 +90,12 @@ def load_checkpoint(path: str | os.PathLike[str], device: str | torch.device = "
     if not isinstance(contents, dict) or contents.get("format") != FORMAT:
         raise CheckpointError(f"{path} was written by another program, not by maniskill_grpd")
     version = contents.get("version")
-    if version not in (1, VERSION):
-        raise CheckpointError(f"{path} has checkpoint version {version}, this package reads 1 and {VERSION}")
-    contents = {**_LATER_KEYS, **contents}
+    if version != VERSION:
+        raise CheckpointError(f"{path} has checkpoint version {version}, this package reads {VERSION}")
     missing = sorted(set(_KEYS) - set(contents))
     if missing:
         raise CheckpointError(f"{path} lacks {', '.join(missing)}")
-    if version == 1 and _has_radial_order(contents["policy"]):
-        raise CheckpointError(
-            f"{path} has checkpoint version 1, whose weights along mesh edges are in another order "
-            f"for {contents['policy']['name']} with several radial functions; train it again"
-        )
     return {key: contents[key] for key in _KEYS}
-
-
-def _has_radial_order(policy: dict[str, Any]) -> bool:
-    """Return whether the order of weights in version 1 matters to a policy, given its config."""
-    option = _MESH_RADIAL.get(policy.get("name", ""))
-    return option is not None and policy["options"][option] > 1
 
 
 def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:

@@ -10,10 +10,12 @@ import torch
 
 from maniskill_grpd.learning.action_noise import ActionNoise
 from maniskill_grpd.learning.finite import check_finite, check_graph_finite
+from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 from maniskill_grpd.learning.rollout import Graph, Rollout
 from maniskill_grpd.learning.update import autocast_policy
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.learning.workers import Workers
+from maniskill_grpd.policies import ActionDistribution
 
 
 class Collector:
@@ -37,7 +39,7 @@ class Collector:
 
     def __init__(
         self,
-        envs: Any,
+        envs: GraphVecEnv,
         num_steps: int,
         disturb: Callable[[Graph, torch.Generator], Graph] | None = None,
         workers: Workers | None = None,
@@ -66,7 +68,7 @@ class Collector:
 
     @torch.no_grad()
     def collect(
-        self, policy: Any, value_scale: ValueScale, generator: torch.Generator, where: str
+        self, policy: ActorCritic, value_scale: ValueScale, generator: torch.Generator, where: str
     ) -> tuple[Rollout, dict[str, float]]:
         """Take `num_steps` steps in every environment with sampled actions.
 
@@ -116,7 +118,7 @@ class Collector:
         rollout.next_value.copy_(value_scale.denormalize(policy.value(graph)))
         return rollout, episodes.means(self._workers)
 
-    def _storage(self, graph: Graph, dist: Any) -> Rollout:
+    def _storage(self, graph: Graph, dist: ActionDistribution) -> Rollout:
         if self.rollout is None:
             self.rollout = Rollout(self.num_steps, graph, dist)
         return self.rollout

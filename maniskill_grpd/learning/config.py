@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, Literal
 
-from maniskill_grpd.learning.schedule import SCHEDULES, scheduled
+from maniskill_grpd.learning.algorithm import ALGORITHMS
+from maniskill_grpd.learning.options import parse_options
+from maniskill_grpd.learning.schedule import Coefficients, Schedule, scheduled
 
-ALGORITHMS = ("bpp", "ppo")
-"""Names `TrainConfig.algorithm` may take."""
-
-TRUST_REGIONS = ("projection", "lagrangian", "fisher")
-"""Names `TrainConfig.trust_region` may take."""
-
-BEST_METRICS = ("success_at_end", "success_once", "return")
-"""Names `TrainConfig.best_metric` may take."""
+BestMetric = Literal["success_at_end", "success_once", "return"]
+"""Evaluation metrics that may choose the best checkpoint."""
 
 RESUMABLE_FIELDS = frozenset(
     {
@@ -40,8 +34,33 @@ RESUMABLE_FIELDS = frozenset(
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """Options of a training run, under the names of ManiSkill's baselines."""
+class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
+    """Options of a training run, under the names of ManiSkill's baselines, and those of every algorithm."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {
+        "seed": "[0, 4294967295]",
+        "torch_threads": "[1, 1024]",
+        "num_envs": "[1, inf)",
+        "num_eval_envs": "[1, inf)",
+        "num_steps": "[1, inf)",
+        "eval_freq": "[0, inf)",
+        "checkpoint_freq": "[1, inf)",
+        "position_noise": "[0, inf)",
+        "velocity_noise": "[0, inf)",
+        "total_timesteps": "[1, inf)",
+        "learning_rate": "(0, inf)",
+        "gamma": "[0, 1]",
+        "gae_lambda": "[0, 1]",
+        "num_minibatches": "[1, inf)",
+        "update_epochs": "[1, inf)",
+        "noise_correlation": "[0, 1)",
+        "ent_coef": "[0, inf)",
+        "vf_coef": "[0, inf)",
+        "max_grad_norm": "(0, inf)",
+        "target_kl": "(0, inf)",
+        "normalizer_freeze_steps": "[0, inf)",
+        "chunk_size": "[0, inf)",
+    }
 
     exp_name: str | None = None
     """name of the run and of its folder under runs/; by default made of task, policy, seed and time"""
@@ -84,7 +103,7 @@ class TrainConfig:
     """iterations between checkpoints, after each of which all environments are reset"""
     sim_backend: str = "auto"
     """where the simulation runs: auto (cuda if there is a GPU), cpu or cuda"""
-    best_metric: str = "success_at_end"
+    best_metric: BestMetric = "success_at_end"
     """evaluation metric that chooses best_ckpt.pt: success_at_end, success_once or return (which also breaks ties)"""
     position_noise: float = 0.0
     """standard deviation of noise on observed positions during training, per axis [m]"""
@@ -95,10 +114,8 @@ class TrainConfig:
     """name of the policy"""
     policy_kwargs: tuple[str, ...] = ()
     """options of the policy as key=value pairs, values in JSON: --policy_kwargs hidden_dim=64"""
-    algorithm: str = "bpp"
+    algorithm: Literal[tuple(ALGORITHMS)] = "bpp"  # type: ignore[valid-type]
     """bpp (KL trust region) or ppo (clipping)"""
-    trust_region: str = "projection"
-    """bpp: projection (differentiable), lagrangian (dual ascent) or fisher (natural gradient with line search)"""
     compile: bool = False
     """compile the policy for updates; pays in long runs, the first update then takes minutes"""
     amp: bool = False
@@ -109,7 +126,7 @@ class TrainConfig:
     """step size of Adam"""
     anneal_lr: bool = False
     """let the learning rate fall linearly to zero, the same as --lr_schedule linear"""
-    lr_schedule: str = "constant"
+    lr_schedule: Schedule = "constant"
     """schedule of the learning rate: constant, or linear or cosine to zero"""
     gamma: float = 0.99
     """discount"""
@@ -123,38 +140,16 @@ class TrainConfig:
     """normalise advantages within each minibatch"""
     noise_correlation: float = 0.0
     """correlation of the action noise between consecutive steps, in [0, 1): what explores further at the same deviation"""
-    noise_schedule: str = "constant"
+    noise_schedule: Schedule = "constant"
     """schedule of that correlation: constant, or linear or cosine to zero"""
     ent_coef: float = 0.0
     """weight of the entropy bonus"""
-    ent_schedule: str = "constant"
+    ent_schedule: Schedule = "constant"
     """schedule of that weight: constant, or linear or cosine to zero"""
-    entropy_floor: float | None = None
-    """projection: smallest entropy of an actuator's Gaussian [nats]; 2.2 at the initial deviation of 0.5, -1 at 0.17"""
-    entropy_floor_final: float | None = None
-    """projection: where the floor has come linearly by the end; by default it stays"""
     vf_coef: float = 0.5
     """weight of the value loss"""
     max_grad_norm: float = 1.0
     """largest norm of the gradient"""
-    mean_bound: float = 0.05
-    """bpp: largest mean part of the KL of an actuator per iteration [nats]; on average for lagrangian, fisher"""
-    cov_bound: float = 0.005
-    """bpp: largest covariance part of the KL of an actuator per iteration [nats]"""
-    gripper_bound: float = 0.01
-    """bpp: largest KL of an actuator's gripper per iteration [nats], in tasks with free grasps"""
-    trust_region_coef: float = 1.0
-    """projection: weight of the loss that draws the policy to its projection"""
-    dual_step: float = 0.5
-    """lagrangian: step of the dual ascent on the logarithm of a multiplier, per iteration"""
-    max_multiplier: float = 100.0
-    """lagrangian: largest multiplier; the smallest is its inverse"""
-    fisher_samples: int = 1024
-    """fisher: transitions the Fisher matrix is estimated with"""
-    fisher_damping: float = 0.1
-    """fisher: multiple of the identity added to the Fisher matrix"""
-    clip_coef: float = 0.2
-    """ppo: clipping of the probability ratio"""
     target_kl: float | None = None
     """stop an update once the mean KL of a minibatch exceeds this [nats]; any algorithm"""
     normalizer_freeze_steps: int | None = None
@@ -163,9 +158,7 @@ class TrainConfig:
     """most graphs in one forward pass, larger minibatches accumulate gradients; 0: 256 on a CPU, all on a GPU"""
 
     def __post_init__(self) -> None:
-        self._check_names()
-        self._check_contradictions()
-        self._check_ranges()
+        self.check()
         self._check_sizes()
         # Fail now, not when the environment is made.
         parse_options("env_kwargs", self.env_kwargs)
@@ -228,67 +221,19 @@ class TrainConfig:
             raise ValueError(f"unknown option(s) {', '.join(unknown)}; known: {sorted(known)}")
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in fields.items()})
 
-    def _check_names(self) -> None:
-        choices = {
-            "algorithm": ALGORITHMS,
-            "trust_region": TRUST_REGIONS,
-            "lr_schedule": SCHEDULES,
-            "ent_schedule": SCHEDULES,
-            "noise_schedule": SCHEDULES,
-            "best_metric": BEST_METRICS,
-        }
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
-
-    def _check_contradictions(self) -> None:
-        is_projection = self.algorithm == "bpp" and self.trust_region == "projection"
-        is_fisher = self.algorithm == "bpp" and self.trust_region == "fisher"
-        found = {
-            "--resume continues a run and --checkpoint starts a new one; give one of them": (self.resume and self.checkpoint),
-            f"--trust_region {self.trust_region} belongs to --algorithm bpp, not to ppo": (
-                self.algorithm == "ppo" and self.trust_region != "projection"
-            ),
+    def contradictions(self) -> dict[str, bool]:
+        """See `OptionGroup.contradictions`."""
+        return {
+            **super().contradictions(),
+            "--resume continues a run and --checkpoint starts a new one; give one of them": bool(self.resume and self.checkpoint),
             f"--anneal_lr is linear, --lr_schedule says {self.lr_schedule}; give one of them": (
                 self.anneal_lr and self.lr_schedule == "cosine"
             ),
-            "--ent_schedule changes --ent_coef, which is 0; set it too": (self.ent_schedule != "constant" and not self.ent_coef),
+            "--ent_schedule changes --ent_coef, which is 0; set it too": self.ent_schedule != "constant" and not self.ent_coef,
             "--noise_schedule changes --noise_correlation, which is 0; set it too": (
                 self.noise_schedule != "constant" and not self.noise_correlation
             ),
-            "--entropy_floor works with --algorithm bpp --trust_region projection only": (
-                self.entropy_floor is not None and not is_projection
-            ),
-            "--entropy_floor_final needs --entropy_floor, where it starts from": (
-                self.entropy_floor_final is not None and self.entropy_floor is None
-            ),
-            "--target_kl ends minibatch updates early; --trust_region fisher has a line search": (
-                self.target_kl is not None and is_fisher
-            ),
-            "--compile has no second derivatives, which --trust_region fisher needs; drop one": (self.compile and is_fisher),
         }
-        for message, is_wrong in found.items():
-            if is_wrong:
-                raise ValueError(message)
-
-    def _check_ranges(self) -> None:
-        positive = (
-            "torch_threads num_envs num_eval_envs num_steps checkpoint_freq total_timesteps "
-            "learning_rate num_minibatches update_epochs max_grad_norm mean_bound cov_bound "
-            "gripper_bound clip_coef dual_step fisher_samples fisher_damping"
-        )
-        require_positive(self, *positive.split())
-        if not 1.0 < self.max_multiplier < math.inf:
-            raise ValueError(f"max_multiplier must be above 1, got {self.max_multiplier}")
-        not_negative = "seed eval_freq chunk_size ent_coef vf_coef trust_region_coef position_noise velocity_noise"
-        for name in not_negative.split():
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")
-        if not 0.0 <= self.noise_correlation < 1.0:
-            raise ValueError(f"noise_correlation must lie in [0, 1), got {self.noise_correlation}")
-        for name in ("gamma", "gae_lambda"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
 
     def _check_sizes(self) -> None:
         if self.batch_size % self.num_minibatches:
@@ -307,52 +252,6 @@ class TrainConfig:
                 f"total_timesteps = {self.total_timesteps} is less than one iteration of "
                 f"num_envs * num_steps = {self.batch_size} steps; raise it or lower those"
             )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Coefficients:
-    """What changes from iteration to iteration."""
-
-    learning_rate: float
-    ent_coef: float
-    entropy_floor: float | None
-    noise_correlation: float
-
-
-def parse_options(name: str, pairs: tuple[str, ...]) -> dict[str, Any]:
-    """Parse key=value pairs; a value that is not JSON is taken as a string.
-
-    Args:
-        name: The option the pairs belong to, for messages.
-        pairs: Such as ("num_grippers=2", "shape=W").
-
-    Raises:
-        ValueError: If a pair has no key or no "=", or a key comes twice.
-    """
-    options: dict[str, Any] = {}
-    for pair in pairs:
-        key, separator, text = pair.partition("=")
-        if not (separator and key.isidentifier()):
-            raise ValueError(f"{name} takes key=value pairs, got {pair!r}")
-        if key in options:
-            raise ValueError(f"{name} names {key!r} twice")
-        try:
-            options[key] = json.loads(text)
-        except json.JSONDecodeError:
-            options[key] = text
-    return options
-
-
-def require_positive(options: Any, *names: str) -> None:
-    """Refuse options that are not positive and finite.
-
-    Raises:
-        ValueError: Naming the first one.
-    """
-    for name in names:
-        value = getattr(options, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")
 
 
 def _nearest_divisor(number: int, wanted: int) -> int:

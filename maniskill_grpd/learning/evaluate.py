@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning.collector import float_metrics
+from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 
 _MAX_EPISODE_STEPS = 100_000
 """An environment without a time limit would never end an episode."""
@@ -15,8 +16,8 @@ _MAX_EPISODE_STEPS = 100_000
 
 @torch.no_grad()
 def evaluate_policy(
-    policy: Any,
-    env: Any,
+    policy: ActorCritic,
+    env: GraphVecEnv,
     seeds: Sequence[int],
     deterministic: bool = True,
     *,
@@ -60,8 +61,8 @@ def evaluate_policy(
 
 
 def _play(
-    policy: Any,
-    env: Any,
+    policy: ActorCritic,
+    env: GraphVecEnv,
     seeds: list[int],
     deterministic: bool,
     generator: torch.Generator | None,

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
+from maniskill_grpd.learning.trust_region import BoundOptions, Bounds, activity_metrics, kl_metrics
 from maniskill_grpd.learning.update import Algorithm, Learner, Metrics, apply_gradients, mean_std, summarize
 from maniskill_grpd.policies import ActionDistribution
 from maniskill_grpd.policies.divergence import KLParts
+
+if TYPE_CHECKING:
+    from maniskill_grpd.learning.config import TrainConfig
 
 _CG_STEPS = 10
 """Conjugate gradient steps; more change the direction little and cost a pass over the samples each."""
@@ -25,6 +29,18 @@ _CHUNK_SIZE = 256
 
 Vector = torch.Tensor
 """All policy parameters in one row, (P,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FisherOptions(BoundOptions):
+    """Options of the natural gradient."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {"fisher_samples": "[1, inf)", "fisher_damping": "(0, inf)"}
+
+    fisher_samples: int = 1024
+    """fisher: transitions the Fisher matrix is estimated with"""
+    fisher_damping: float = 0.1
+    """fisher: multiple of the identity added to the Fisher matrix"""
 
 
 @dataclass(kw_only=True)
@@ -48,6 +64,13 @@ class FisherBPP(Algorithm):
     num_samples: int
     damping: float
     ent_coef: float
+
+    @classmethod
+    def from_config(cls, config: TrainConfig) -> FisherBPP:
+        """See `Algorithm.from_config`."""
+        return cls(
+            bounds=config.bounds, num_samples=config.fisher_samples, damping=config.fisher_damping, ent_coef=config.ent_coef
+        )
 
     def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
         """See `Algorithm.update`."""

@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
 from maniskill_grpd.learning.rollout import Batch, Rollout
-from maniskill_grpd.learning.trust_region import Bounds, activity_metrics, kl_metrics
+from maniskill_grpd.learning.trust_region import BoundOptions, Bounds, activity_metrics, kl_metrics
 from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner, Metrics
 from maniskill_grpd.policies import ActionDistribution
 from maniskill_grpd.policies.divergence import KLParts
 
+if TYPE_CHECKING:
+    from maniskill_grpd.learning.config import TrainConfig
+
 _FIRST_MULTIPLIER = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LagrangianOptions(BoundOptions):
+    """Options of the Lagrangian."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {"dual_step": "(0, inf)", "max_multiplier": "(1, inf)"}
+
+    dual_step: float = 0.5
+    """lagrangian: step of the dual ascent on the logarithm of a multiplier, per iteration"""
+    max_multiplier: float = 100.0
+    """lagrangian: largest multiplier; the smallest is its inverse"""
 
 
 @dataclass(kw_only=True)
@@ -38,6 +54,13 @@ class LagrangianBPP(FirstOrderAlgorithm):
     dual_step: float
     max_multiplier: float
     multipliers: dict[str, float] = field(default_factory=lambda: dict.fromkeys(KLParts._fields, _FIRST_MULTIPLIER))
+
+    @classmethod
+    def from_config(cls, config: TrainConfig) -> LagrangianBPP:
+        """See `Algorithm.from_config`."""
+        return cls(
+            bounds=config.bounds, dual_step=config.dual_step, max_multiplier=config.max_multiplier, ent_coef=config.ent_coef
+        )
 
     def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""

@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import torch
 
+from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.learning.rollout import Batch
 from maniskill_grpd.learning.trust_region import kl_metrics
 from maniskill_grpd.learning.update import FirstOrderAlgorithm, Metrics
 from maniskill_grpd.policies import ActionDistribution
+
+if TYPE_CHECKING:
+    from maniskill_grpd.learning.config import TrainConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOOptions(OptionGroup):
+    """Options of PPO."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {"clip_coef": "(0, inf)"}
+
+    clip_coef: float = 0.2
+    """ppo: clipping of the probability ratio"""
 
 
 @dataclass(kw_only=True)
@@ -19,7 +35,13 @@ class PPO(FirstOrderAlgorithm):
     loss = -E[ min(ratio A, clip(ratio, 1 - clip_coef, 1 + clip_coef) A) ] - ent_coef E[ H(pi) ]
     """
 
+    Options: ClassVar[type[OptionGroup]] = PPOOptions
     clip_coef: float
+
+    @classmethod
+    def from_config(cls, config: TrainConfig) -> PPO:
+        """See `Algorithm.from_config`."""
+        return cls(clip_coef=config.clip_coef, ent_coef=config.ent_coef)
 
     def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""

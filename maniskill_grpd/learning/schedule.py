@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Literal, get_args
 
-SCHEDULES = ("constant", "linear", "cosine")
+Schedule = Literal["constant", "linear", "cosine"]
 """Names of the ways from a first value to a last one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coefficients:
+    """What changes from iteration to iteration."""
+
+    learning_rate: float
+    ent_coef: float
+    entropy_floor: float | None
+    noise_correlation: float
 
 
 def scheduled(name: str, first: float, last: float, progress: float) -> float:
@@ -27,4 +39,4 @@ def scheduled(name: str, first: float, last: float, progress: float) -> float:
         return first + (last - first) * progress
     if name == "cosine":
         return last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * progress))
-    raise ValueError(f"a schedule is one of {', '.join(SCHEDULES)}, got {name!r}")
+    raise ValueError(f"a schedule is one of {', '.join(get_args(Schedule))}, got {name!r}")

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.gae import generalized_advantages
 from maniskill_grpd.learning.normalizer_update import update_normalizer
 from maniskill_grpd.learning.observation_noise import ObservationNoise
+from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 from maniskill_grpd.learning.rollout import Rollout
 from maniskill_grpd.learning.run_log import RunLog
 from maniskill_grpd.learning.training_state import TrainingState
@@ -73,9 +73,9 @@ class Trainer:
     def __init__(
         self,
         config: TrainConfig,
-        policy: Any,
-        envs: Any,
-        eval_envs: Any | None = None,
+        policy: ActorCritic,
+        envs: GraphVecEnv,
+        eval_envs: GraphVecEnv | None = None,
         run_dir: str | Path = "runs/default",
         workers: Workers | None = None,
     ) -> None:
@@ -253,7 +253,7 @@ class Trainer:
         if self._log_file is not None:
             self._log_file.add("train", self.state.iteration, self.state.global_step, metrics)
         self._progress.update(batch_size)
-        self._progress.set_postfix_str(_progress_text(metrics))
+        self._progress.set_postfix_str(_progress_text(metrics, self.envs.unwrapped.PROGRESS.name))
 
     def _is_evaluation_due(self) -> bool:
         iteration, config = self.state.iteration, self.config
@@ -348,7 +348,7 @@ def _grippers(rollout: Rollout) -> torch.Tensor:
     return rollout.actions.unflatten(-1, (mask.shape[-1], -1))[mask]
 
 
-def _progress_text(metrics: dict[str, float]) -> str:
-    shown = {"return": "train/return", "success": "train/success_once", "distance": "train/mean_distance", "SPS": "charts/SPS"}
+def _progress_text(metrics: dict[str, float], progress: str) -> str:
+    shown = {"return": "train/return", "success": "train/success_once", progress: f"train/{progress}", "SPS": "charts/SPS"}
     found = {name: metrics[tag] for name, tag in shown.items() if tag in metrics}
     return ", ".join(f"{name}={value:.3g}" for name, value in found.items())

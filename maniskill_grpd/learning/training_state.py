@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from maniskill_grpd.learning.algorithm import make_algorithm
+from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.checkpoint import CheckpointError, describe_differences, load_checkpoint, restore_policy
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS, TrainConfig
+from maniskill_grpd.learning.protocols import ActorCritic
 from maniskill_grpd.learning.update import Algorithm
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.learning.workers import Workers
@@ -34,7 +35,7 @@ class TrainingState:
     """
 
     config: TrainConfig
-    policy: Any
+    policy: ActorCritic
     optimizer: torch.optim.Optimizer
     algorithm: Algorithm
     value_scale: ValueScale = field(default_factory=ValueScale)
@@ -44,7 +45,7 @@ class TrainingState:
     best_score: list[float] | None = None
 
     @classmethod
-    def fresh(cls, config: TrainConfig, policy: Any, workers: Workers) -> TrainingState:
+    def fresh(cls, config: TrainConfig, policy: ActorCritic, workers: Workers) -> TrainingState:
         """Return the state before the first iteration; all processes get the weights of the first."""
         device = next(policy.parameters()).device
         workers.broadcast(policy.state_dict().values())
@@ -54,7 +55,7 @@ class TrainingState:
             policy=policy,
             # Fused: one pass over all weights instead of a dozen per tensor.
             optimizer=torch.optim.Adam(policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True),
-            algorithm=make_algorithm(config),
+            algorithm=ALGORITHMS[config.algorithm].from_config(config),
             generators={"action": torch.Generator(device).manual_seed(seed), "minibatch": torch.Generator().manual_seed(seed)},
             workers=workers,
         )
@@ -98,8 +99,6 @@ class TrainingState:
         self._check_origin(path, contents)
         restore_policy(self.policy, contents)
         self.optimizer.load_state_dict(contents["optimizer"])
-        for group in self.optimizer.param_groups:
-            group["fused"] = True  # older checkpoints say otherwise
         self.algorithm.load_state_dict(contents["algorithm"])
         self.value_scale.load_state_dict(contents["value_scale"])
         for name, generator in self.generators.items():
@@ -124,11 +123,9 @@ class TrainingState:
 
     def _check_origin(self, path: str | Path, contents: dict[str, Any]) -> None:
         """Refuse a checkpoint of a run that this one would not continue."""
-        # Through the config, so that options younger than the checkpoint count as their defaults.
-        stored = TrainConfig.from_dict(contents["train_config"]).to_dict()
         fixed = [
             line
-            for line in describe_differences(stored, self.config.to_dict())
+            for line in describe_differences(contents["train_config"], self.config.to_dict())
             if line.partition(":")[0] not in RESUMABLE_FIELDS | {"exp_name"}
         ]
         if fixed:

@@ -6,12 +6,34 @@ the covariance of its Gaussian (eq. 63), and that of its gripper's Bernoulli var
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 
+from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.policies import ActionDistribution
 from maniskill_grpd.policies.divergence import KLParts
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundOptions(OptionGroup):
+    """How far a policy may move in one iteration."""
+
+    RANGES: ClassVar[Mapping[str, str]] = {"mean_bound": "(0, inf)", "cov_bound": "(0, inf)", "gripper_bound": "(0, inf)"}
+
+    mean_bound: float = 0.05
+    """bpp: largest mean part of the KL of an actuator per iteration [nats]; on average for lagrangian, fisher"""
+    cov_bound: float = 0.005
+    """bpp: largest covariance part of the KL of an actuator per iteration [nats]"""
+    gripper_bound: float = 0.01
+    """bpp: largest KL of an actuator's gripper per iteration [nats], in tasks with free grasps"""
+
+    @property
+    def bounds(self) -> Bounds:
+        """The bounds as the algorithms take them."""
+        return Bounds(mean=self.mean_bound, cov=self.cov_bound, gripper=self.gripper_bound)
 
 
 @dataclass(frozen=True, kw_only=True)

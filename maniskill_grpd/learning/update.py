@@ -4,24 +4,32 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
-from maniskill_grpd.learning.config import Coefficients, TrainConfig
 from maniskill_grpd.learning.finite import NonFiniteError
+from maniskill_grpd.learning.options import OptionGroup
+from maniskill_grpd.learning.protocols import ActorCritic
 from maniskill_grpd.learning.rollout import Batch, Graph, Rollout
+from maniskill_grpd.learning.schedule import Coefficients
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.learning.workers import Workers
 from maniskill_grpd.policies import ActionDistribution
+
+if TYPE_CHECKING:
+    from maniskill_grpd.learning.config import TrainConfig
 
 _CPU_CHUNK_SIZE = 256
 """Larger chunks fall out of the cache: 1600 graphs at once cost a third more per graph than 200."""
 
 Metrics = dict[str, torch.Tensor]
 """Detached scalars by name."""
+
+Forward = Callable[[Graph], tuple[ActionDistribution, torch.Tensor]]
+"""From raw graphs to the distribution of actions and value outputs (M,)."""
 
 
 @dataclass(kw_only=True)
@@ -37,7 +45,7 @@ class Learner:
         workers: The processes that share the update.
     """
 
-    policy: torch.nn.Module
+    policy: ActorCritic
     optimizer: torch.optim.Optimizer
     value_scale: ValueScale
     config: TrainConfig
@@ -88,10 +96,17 @@ class Algorithm(abc.ABC):
     """Changes a policy after each rollout.
 
     Attributes:
+        Options: What can be set of it; `TrainConfig` inherits from it.
         ent_coef: Weight of the entropy bonus.
     """
 
+    Options: ClassVar[type[OptionGroup]] = OptionGroup
     ent_coef: float
+
+    @classmethod
+    @abc.abstractmethod
+    def from_config(cls, config: TrainConfig) -> Algorithm:
+        """Build the algorithm that a config describes."""
 
     def adopt(self, coefficients: Coefficients) -> None:
         """Take over what the schedules say for the next update."""
@@ -208,7 +223,7 @@ def apply_gradients(learner: Learner, parameters: list[torch.Tensor], metrics: M
     return norm.detach()
 
 
-def autocast_policy(forward: Any, graph: Graph, enabled: bool) -> tuple[ActionDistribution, torch.Tensor]:
+def autocast_policy(forward: Forward, graph: Graph, enabled: bool) -> tuple[ActionDistribution, torch.Tensor]:
     """Evaluate a policy, its matrix products in bfloat16 if enabled; the results are float32.
 
     Args:
@@ -276,7 +291,7 @@ def _reduce(rows: list[Metrics], shares: list[float]) -> Metrics:
     return {k: v.max() if k.endswith("_max") else (v * weights).sum() for k, v in stacked.items()}
 
 
-def _describe(policy: torch.nn.Module, metrics: Metrics, place: str) -> str:
+def _describe(policy: ActorCritic, metrics: Metrics, place: str) -> str:
     """Say what was not finite in a failed minibatch."""
     broken = [name for name, value in metrics.items() if not torch.isfinite(value)]
     weights = [

@@ -21,7 +21,6 @@ from maniskill_grpd.policies.layers import (
     NodeEmbedding,
     SteerableConv,
 )
-from maniskill_grpd.policies.options import late_option
 
 Edges = CompleteEdges | NeighborEdges
 
@@ -38,9 +37,9 @@ class EMPNOptions(HeadOptions):
     """Rounds of message passing; they limit how far an actuator sees (eq. 46)."""
     num_radial: int = 2
     """Radial functions of the edges."""
-    max_degree: int = late_option(1)
+    max_degree: int = 1
     """Largest degree of the harmonics, 1 or 2."""
-    normalize_vectors: bool = late_option(False)
+    normalize_vectors: bool = False
     """Whether vector features are normalised after each round; for many rounds."""
     num_nearest: int = 8
     """Object nodes that each actuator is connected with."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import torch
@@ -20,7 +20,6 @@ from maniskill_grpd.policies.layers import (
     NaiveDecoder,
     PerActuator,
 )
-from maniskill_grpd.policies.options import late_option, options_to_config
 from maniskill_grpd.policies.policy import Policy
 
 Features = tuple[torch.Tensor, torch.Tensor]
@@ -39,12 +38,12 @@ class HeadOptions(abc.ABC):
     """Width of the value function after the sum over nodes; before it, scalar_dim."""
     value_encoder: Literal["shared", "separate"] = "shared"
     """Whether the value function reads the actor's node features or has an encoder of its own."""
-    decoders: Literal["shared", "independent"] = late_option("shared")
+    decoders: Literal["shared", "independent"] = "shared"
     """Independent: weights of its own for each place in the list of actuators. The order of
     actuators then matters, and no graph may have more than num_decoders of them."""
-    num_decoders: int = late_option(4)
+    num_decoders: int = 4
     """Number of independent decoders."""
-    gripper: bool = late_option(False)
+    gripper: bool = False
     """Whether actions have a fourth entry per actuator that closes (1) or opens (0) it."""
 
     def __post_init__(self) -> None:
@@ -80,7 +79,7 @@ class EncodedPolicy(Policy):
     Options: type[HeadOptions]
 
     def __init__(self, schema: GraphSchema, options: HeadOptions) -> None:
-        super().__init__(schema, options_to_config(options))
+        super().__init__(schema, asdict(options))
         dims = (options.object_dims, options.actuator_dims)
 
         def head(make: Callable[[], nn.Module]) -> nn.Module:

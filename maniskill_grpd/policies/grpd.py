@@ -11,7 +11,6 @@ from torch import nn
 from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, equivariant_mean
 from maniskill_grpd.policies.layers import EdgeGeometry, EquivariantUpdate, NodeEmbedding, SteerableConv
-from maniskill_grpd.policies.options import late_option
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +35,11 @@ class GRPDOptions(HeadOptions):
     """Radial functions of mesh edges; more pay only if neighbours are at different distances."""
     max_degree: int = 1
     """Largest degree of the harmonics from objects to actuators, 1 or 2."""
-    max_local_degree: int = late_option(1)
+    max_local_degree: int = 1
     """Largest degree of the harmonics along mesh edges, 1 or 2."""
-    normalize_vectors: bool = late_option(False)
+    normalize_vectors: bool = False
     """Whether vector features are normalised after each round; for many rounds."""
-    decoder: Literal["direction_magnitude", "naive"] = late_option("direction_magnitude")
+    decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
     magnitude: Literal["softplus", "relu"] = "softplus"
     """Activation of the action's length; relu is eq. 52 as printed. Unused by the naive decoder."""

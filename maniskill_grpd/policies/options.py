@@ -3,33 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, field, fields
+from dataclasses import MISSING, fields
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
-
-_LATE = "late"
-"""Key in the metadata of fields that `late_option` makes."""
-
-
-def late_option(default: Any) -> Any:
-    """Declare a field of an options dataclass that older checkpoints do not have.
-
-    While it is at its default, configs do not name it, so that they equal those of the checkpoints
-    that were written before the option existed.
-
-    Args:
-        default: Behaviour of the policies before the option existed.
-    """
-    return field(default=default, metadata={_LATE: True})
-
-
-def options_to_config(options: Any) -> dict[str, Any]:
-    """Return an options dataclass as plain types, late options only where they differ."""
-    untouched = {
-        entry.name for entry in fields(options) if entry.metadata.get(_LATE) and getattr(options, entry.name) == entry.default
-    }
-    return {name: value for name, value in asdict(options).items() if name not in untouched}
 
 
 def parse_options(cls: type[T], options: Mapping[str, Any]) -> T:

@@ -1,12 +1,21 @@
 """Options: defaults, derived numbers, and messages that say how to mend them."""
 
 import dataclasses
+import math
+import sys
+import types
+from pathlib import Path
+from typing import ClassVar, get_args, get_type_hints
 
 import pytest
 import tyro
 
 from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.learning import config as config_module
+from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS
+from maniskill_grpd.learning.options import OptionGroup
+from maniskill_grpd.learning.ppo import PPO
 
 
 def test_derived_numbers():
@@ -31,11 +40,11 @@ def test_unknown_fields_are_refused():
         ({"num_envs": 10, "num_steps": 10, "num_minibatches": 16}, "20 would fit"),
         ({"total_timesteps": 10}, "less than one iteration"),
         ({"num_envs": 4, "num_steps": 4, "num_minibatches": 16}, "at least 2 transitions"),
-        ({"learning_rate": 0.0}, "learning_rate must be positive"),
-        ({"learning_rate": float("nan")}, "learning_rate must be positive"),
-        ({"mean_bound": -1.0}, "mean_bound must be positive"),
+        ({"learning_rate": 0.0}, r"learning_rate must lie in \(0, inf\), got 0.0"),
+        ({"learning_rate": float("nan")}, r"learning_rate must lie in \(0, inf\), got nan"),
+        ({"mean_bound": -1.0}, r"mean_bound must lie in \(0, inf\), got -1.0"),
         ({"gamma": 1.5}, r"gamma must lie in \[0, 1\]"),
-        ({"ent_coef": -0.1}, "ent_coef must not be negative"),
+        ({"ent_coef": -0.1}, r"ent_coef must lie in \[0, inf\), got -0.1"),
         ({"trust_region": "ball"}, "one of projection, lagrangian, fisher, got 'ball'"),
         ({"lr_schedule": "step"}, "lr_schedule must be one of constant, linear, cosine"),
         ({"ent_schedule": "step"}, "ent_schedule must be one of constant, linear, cosine"),
@@ -48,8 +57,12 @@ def test_unknown_fields_are_refused():
         ({"entropy_floor_final": 0.0}, "needs --entropy_floor"),
         ({"trust_region": "fisher", "target_kl": 0.1}, "has a line search"),
         ({"trust_region": "fisher", "compile": True}, "no second derivatives"),
-        ({"max_multiplier": 1.0}, "max_multiplier must be above 1"),
-        ({"position_noise": -0.1}, "position_noise must not be negative"),
+        ({"max_multiplier": 1.0}, r"max_multiplier must lie in \(1, inf\), got 1.0"),
+        ({"position_noise": -0.1}, r"position_noise must lie in \[0, inf\), got -0.1"),
+        ({"target_kl": float("nan")}, r"target_kl must lie in \(0, inf\), got nan"),
+        ({"normalizer_freeze_steps": -5}, r"normalizer_freeze_steps must lie in \[0, inf\), got -5"),
+        ({"entropy_floor": float("inf")}, r"entropy_floor must lie in \(-inf, inf\), got inf"),
+        ({"torch_threads": 100_000}, r"torch_threads must lie in \[1, 1024\], got 100000"),
         ({"env_kwargs": ("num_grippers",)}, "key=value"),
         ({"env_kwargs": ("a=1", "a=2")}, "'a' twice"),
     ],
@@ -57,6 +70,46 @@ def test_unknown_fields_are_refused():
 def test_bad_options_are_refused_with_a_way_out(options, message):
     with pytest.raises(ValueError, match=message):
         TrainConfig(**options)
+
+
+def numeric_fields():
+    """Return the names of all options that are numbers, or numbers or None."""
+    hints = get_type_hints(TrainConfig)
+    kinds = {name: set(get_args(hint) or [hint]) - {type(None)} for name, hint in hints.items()}
+    return sorted(field.name for field in dataclasses.fields(TrainConfig) if kinds[field.name] in ({int}, {float}))
+
+
+@pytest.mark.parametrize("name", numeric_fields())
+def test_no_number_is_taken_without_a_range(name):
+    """Neither NaN nor an infinity is a value of any option, and the message names the range."""
+    for value in (math.nan, math.inf, -math.inf):
+        with pytest.raises(ValueError, match=rf"^{name} must lie in [\[(].*[\])], got {value}"):
+            TrainConfig(**{"entropy_floor": 0.0, name: value})
+
+
+def test_a_third_algorithm_brings_its_own_options(monkeypatch):
+    """A class with options and one entry of the table: config, checks and command line know them."""
+
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Options(OptionGroup):
+        RANGES: ClassVar = {"new_coef": "(0, 1)"}
+        new_coef: float = 0.5
+        """new: a coefficient"""
+
+    class New(PPO):
+        pass
+
+    New.Options = Options
+    monkeypatch.setitem(ALGORITHMS, "new", New)
+    source = Path(config_module.__file__).read_text()
+    module = types.ModuleType("config_with_three")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(source, "config_with_three.py", "exec"), module.__dict__)
+    config = tyro.cli(module.TrainConfig, args=["--algorithm", "new", "--new_coef", "0.25"])
+    assert ALGORITHMS[config.algorithm] is New
+    assert config.new_coef == 0.25
+    with pytest.raises(ValueError, match=r"new_coef must lie in \(0, 1\), got 2.0"):
+        module.TrainConfig(new_coef=2.0)
 
 
 def test_schedules_start_at_the_first_value_and_go_to_the_last():

@@ -6,7 +6,7 @@ from test_update import CONFIG, collect, make_learner
 from toy_env import ToyEnv, ToyPolicy
 
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.algorithm import make_algorithm
+from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.fisher import conjugate_gradient, fisher_product, split_parameters
 
 EVERY = torch.arange(56)
@@ -57,7 +57,7 @@ def test_the_step_honours_every_bound_on_the_true_kl(bound, gripper):
     policy = ToyPolicy(gripper=gripper)
     rollout, _ = collect(policy, ToyEnv(8, max_steps=5, stagger=True, gripper=gripper))
     config = fisher_config(mean_bound=bound, cov_bound=bound / 10, gripper_bound=bound / 10)
-    metrics = make_algorithm(config).update(make_learner(policy, config), rollout)
+    metrics = ALGORITHMS[config.algorithm].from_config(config).update(make_learner(policy, config), rollout)
     assert metrics["step_size"] > 0.0
     batch = rollout.select(EVERY)
     dist, _ = policy(batch.graph)
@@ -78,7 +78,7 @@ def test_without_an_improving_step_the_policy_stays_bitwise():
     rollout.advantages = torch.zeros(7, 8)
     config = fisher_config(norm_adv=False)
     before = {k: v.clone() for k, v in policy.state_dict().items() if not k.startswith("critic")}
-    metrics = make_algorithm(config).update(make_learner(policy, config), rollout)
+    metrics = ALGORITHMS[config.algorithm].from_config(config).update(make_learner(policy, config), rollout)
     assert metrics["step_size"] == 0.0
     for name, value in before.items():
         assert torch.equal(policy.state_dict()[name], value), name

@@ -228,6 +228,11 @@ class FirstRatios(FirstOrderAlgorithm):
         self.period = config.update_epochs * config.num_minibatches
         self.calls, self.errors, self.counts = 0, [], []
 
+    @classmethod
+    def from_config(cls, config):
+        """Not built from a config."""
+        raise NotImplementedError
+
     def project(self, dist, old):
         """Project as the algorithm does."""
         return self.inner.project(dist, old)

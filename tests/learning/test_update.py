@@ -5,7 +5,7 @@ import torch
 from toy_env import ToyEnv, ToyPolicy
 
 from maniskill_grpd.learning import NonFiniteError, TrainConfig
-from maniskill_grpd.learning.algorithm import make_algorithm
+from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.collector import Collector
 from maniskill_grpd.learning.rollout import graph_items
 from maniskill_grpd.learning.update import FirstOrderAlgorithm, Learner, autocast_policy
@@ -35,7 +35,7 @@ def make_learner(policy, config=CONFIG):
 
 
 def run_update(policy, rollout, config=CONFIG, algorithm=None):
-    return (algorithm or make_algorithm(config)).update(make_learner(policy, config), rollout)
+    return (algorithm or ALGORITHMS[config.algorithm].from_config(config)).update(make_learner(policy, config), rollout)
 
 
 def test_a_rollout_holds_what_the_environment_gave():
@@ -86,6 +86,11 @@ class RatioProbe(FirstOrderAlgorithm):
     def __init__(self):
         super().__init__(ent_coef=0.0)
         self.ratios = []
+
+    @classmethod
+    def from_config(cls, config):
+        """Not built from a config."""
+        raise NotImplementedError
 
     def diagnose(self, dist, projected, batch):
         """Report nothing more."""

@@ -16,7 +16,7 @@ from toy_run import CONFIG
 
 import maniskill_grpd
 from maniskill_grpd.learning import CheckpointError, Trainer, load_checkpoint
-from maniskill_grpd.learning.algorithm import make_algorithm
+from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.normalizer_update import update_normalizer
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.learning.update import apply_gradients
@@ -111,7 +111,7 @@ def one_step(workers):
     learner.workers = workers
     batch = learner.normalize_advantages(rollout.select(index))
     dist, outputs = learner.evaluate(batch.graph)
-    algorithm = make_algorithm(CONFIG)
+    algorithm = ALGORITHMS[CONFIG.algorithm].from_config(CONFIG)
     loss, metrics = algorithm.policy_loss(dist, algorithm.project(dist, batch.old), batch)
     (loss + learner.value_loss(outputs, batch)).backward()
     apply_gradients(learner, list(policy.parameters()), metrics, "a test")

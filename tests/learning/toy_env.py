@@ -5,6 +5,8 @@ Each of A actuators is a point that must reach its goal. The best policy moves s
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import torch
 from torch import nn
 
@@ -37,6 +39,8 @@ class ToyEnv:
         gripper: Actions hold a fourth number per actuator, which should be 1 where the goal is up.
         break_at: Step count at which the reward ("reward") or observation ("obs") turns NaN.
     """
+
+    PROGRESS = SimpleNamespace(name="mean_distance", unit="m")
 
     def __init__(self, num_envs, num_actuators=2, max_steps=10, stagger=False, auto_reset=True, gripper=False, break_at=None):
         self.gripper = gripper
