@@ -41,8 +41,7 @@ class ClothFoldingExpert(Expert):
     def act(self) -> torch.Tensor:
         """See `Expert.act`."""
         env = self.env
-        held = env.start_nodes[..., None].expand(-1, -1, 3)
-        goals = env.goal_positions.gather(1, held)
+        goals = env.at_start_nodes(env.goal_positions)
         normal, up = env.crease_normal[:, None], env.solver.plane[:, None, :3]
         # The goal of what is held lies at -d along the normal, seen from the foot of its path on the crease.
         distance = ((env.crease_ends[:, :1] - goals) * normal).sum(-1, keepdim=True)

@@ -75,7 +75,6 @@ class ClothHangingExpert(Expert):
 
     def act(self) -> torch.Tensor:
         """See `Expert.act`; with free grasps (B, A * 4), the last number of each gripper opens or closes it."""
-        self.env.evaluate()
         grippers, layout = self.env.solver.gripper_positions, self._layout()
         rotation = fit_rotation(layout - layout.mean(dim=1, keepdim=True), grippers)
         middle = (grippers - layout @ rotation.mT).mean(dim=1)
@@ -91,9 +90,9 @@ class ClothHangingExpert(Expert):
     def _layout(self) -> torch.Tensor:
         """Return where the grippers are relative to the middle of the seat in the flat cloth, (B, A, 3) [m]."""
         env = self.env
-        variant = env.solver.variants.long()
+        variant = env.variants
         flat = env.rest_positions[variant]
-        corners = flat.gather(1, env.start_nodes[..., None].expand(-1, -1, 3))
+        corners = env.at_start_nodes(flat)
         seat = flat.gather(1, env.seat_nodes[variant][..., None].expand(-1, -1, 3))
         return corners - loop_centre(seat)[:, None]
 
@@ -102,7 +101,7 @@ class ClothHangingExpert(Expert):
         axis = self.env.hanger_axis
         normal = rotation[..., 2]
         turn = shortest_turn(normal * _sign((normal * axis).sum(-1)), axis)
-        is_threaded = self.env.hanging.measures["is_threaded"]
+        is_threaded = self.env.measurement.hanging.measures["is_threaded"]
         shift, _ = _shift_to_hanger(middle - self.env.hanger_point, axis, _length(turn), is_threaded, PEG_DEPTH, PEG_CLEARANCE)
         return turn, shift, torch.eye(3, device=middle.device).expand_as(rotation)
 
@@ -116,14 +115,14 @@ class ClothHangingExpert(Expert):
         offset = middle - self.env.hanger_point
         offset = offset - (offset * bar).sum(-1, keepdim=True).clamp(-BAR_PLAY, BAR_PLAY) * bar
         aside = _length(offset - (offset * up).sum(-1, keepdim=True) * up)
-        lies = self.env.hanging.measures["lies_on_bar"] & (aside < BAR_ASIDE)
+        lies = self.env.measurement.hanging.measures["lies_on_bar"] & (aside < BAR_ASIDE)
         shift, ready = _shift_to_hanger(offset, up, _length(turn), lies, BAR_DEPTH, BAR_CLEARANCE)
         narrow = (1.0 - BAR_WIDTH) * ready[:, None, None] * side[:, :, None] * side[:, None]
         return turn, shift, torch.eye(3, device=middle.device) - narrow
 
     def _with_grip(self, motion: torch.Tensor) -> torch.Tensor:
         """Add to motions (B, A, 3) whether grippers are closed, as (B, A * 4)."""
-        solver, hanging = self.env.solver, self.env.hanging
+        solver, hanging = self.env.solver, self.env.measurement.hanging
         opens = ~solver.closed.any(dim=1)
         if self.env.release:
             speed = mean_over_nodes(_length(solver.velocities), solver.node_mask)

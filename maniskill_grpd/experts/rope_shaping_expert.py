@@ -60,8 +60,7 @@ class RopeShapingExpert(Expert):
         """See `Expert.act`."""
         solver = self.env.solver
         goals = self.env.goal_positions
-        held = self.env.start_nodes
-        offsets = solver.gripper_positions - goals.gather(1, held[..., None].expand(-1, -1, 3))
+        offsets = solver.gripper_positions - self.env.at_start_nodes(goals)
         motion = (_target_offsets(offsets, self._drag_start(goals)) - offsets) / STEP_SIZE
         length = torch.linalg.vector_norm(motion, dim=-1, keepdim=True)
         return (motion / length.clamp(min=1.0)).flatten(1)

@@ -5,7 +5,9 @@ from maniskill_grpd.tasks.cloth_hanging import ClothHangingEnv
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES
 from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
-from maniskill_grpd.tasks.measurement import Metric
+from maniskill_grpd.tasks.measurement import Measurement, Metric
+from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
 from maniskill_grpd.tasks.rope_shaping import RopeShapingEnv
 from maniskill_grpd.tasks.rope_wrapping import RopeWrappingEnv
 
@@ -15,8 +17,15 @@ __all__ = [
     "ClothFoldingEnv",
     "ClothHangingEnv",
     "DeformableEnv",
+    "Drawing",
+    "Line",
+    "Measurement",
     "Metric",
     "RopeShapingEnv",
     "RopeWrappingEnv",
+    "Sheet",
+    "Solid",
+    "Tube",
+    "channels",
     "goal_curve",
 ]

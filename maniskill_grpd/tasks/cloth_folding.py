@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,12 +25,12 @@ from maniskill_grpd.tasks.geometry.crease import (
     side_directions,
     signed_distances,
 )
-from maniskill_grpd.tasks.measurement import Metric
+from maniskill_grpd.tasks.measurement import GoalMeasurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
-from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet
+from maniskill_grpd.tasks.worlds.choices import as_choice
 
 CLOTH_AREA = 0.0576
 """Area of the cloth [m^2]: a square of 24 cm."""
@@ -97,7 +98,6 @@ class ClothFoldingEnv(DeformableEnv):
 
     GRIPPER_COUNTS = tuple(CREASES)
     DEFAULT_NUM_GRIPPERS = 2
-    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     SELF_COLLISION = True
     PROGRESS = Metric("fold_distance", "m")
     OBJECT_CHANNELS = (
@@ -178,7 +178,8 @@ class ClothFoldingEnv(DeformableEnv):
 
     # ------------------------------------------------------------------ episode
 
-    def _build_models(self) -> list[Model]:
+    def build_models(self) -> list[Model]:
+        """Build a cloth of each shape and resolution."""
         if self.num_grippers == 1 and "l_shape" in self.shapes:
             raise ValueError("l_shape needs two grippers: what is beyond a crease of an L is not carried by one point")
         self.resolutions = self.resolutions or (DEFAULT_RESOLUTIONS[self.num_grippers],)
@@ -186,37 +187,40 @@ class ClothFoldingEnv(DeformableEnv):
         sizes = self.resolutions * len(self.shapes)
         return [cloth(outline, num_nodes=size) for outline, size in zip(self._outline_of_variant, sizes, strict=True)]
 
-    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+    def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        """Return the corners of the convex hull."""
         return hull_corners(model.rest_positions[:, :2])
 
-    def _allocate_episode(self) -> None:
+    def allocate_episode(self) -> None:
+        """Create goals and creases, and tables of cloths."""
         num_nodes = self.solver.num_nodes
-        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3, kind="position")
-        self.is_moving = self._episode_tensor("is_moving", num_nodes, kind="scalar")
-        self.crease_normal = self._episode_tensor("crease_normal", 3, kind="vector")
-        self.crease_ends = self._episode_tensor("crease_ends", 2, 3, kind="position")
+        self.goal_positions = self.episode_tensor("goal_positions", num_nodes, 3, kind="position")
+        self.is_moving = self.episode_tensor("is_moving", num_nodes, kind="scalar")
+        self.crease_normal = self.episode_tensor("crease_normal", 3, kind="vector")
+        self.crease_ends = self.episode_tensor("crease_ends", 2, 3, kind="position")
         directions = [CREASES[self.num_grippers].directions(outline) for outline in self._outline_of_variant]
-        candidates = [self._candidate_gripper_nodes(model) for model in self.models]
+        candidates = [self.candidate_gripper_nodes(model) for model in self.models]
         areas = [signed_area(outline) for outline in self._outline_of_variant]
         self._areas = torch.tensor(areas, dtype=torch.float32, device=self.device)
         self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
         self._directions, self._outlines, self._rest, self._candidates = (
-            torch.as_tensor(_stack_rows(tables), device=self.device)
+            self.variant_table(tables)
             for tables in (
-                [rows.astype(np.float32) for rows in directions],
-                [outline.astype(np.float32) for outline in self._outline_of_variant],
+                directions,
+                self._outline_of_variant,
                 [model.rest_positions[:, :2] for model in self.models],
                 candidates,
             )
         )
 
-    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        variant = self.solver.variants[worlds].long()
-        draws = self._draw_uniform(worlds, 6)
-        pose, rest, radius = draws[:, :3], self._rest[variant], self.solver.model.radius
-        normal = self._draw_normal(variant, draws[:, 3:5])
+    def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Draw a crease, lay the cloth on the table and the goal over it."""
+        variant = self.variants[worlds]
+        pose, direction, share = self.draw_uniform(worlds, 3, 2, 1)
+        rest, radius = self._rest[variant], self.solver.model.radius
+        normal = self._draw_normal(variant, direction)
         held = self._choose_start_nodes(variant, normal)
-        offset = self._draw_offset(variant, normal, held, draws[:, 5])
+        offset = self._draw_offset(variant, normal, held, share[:, 0])
         beyond = (signed_distances(rest, normal, offset) > 0.0) & self.solver.node_mask[worlds]
         goal = torch.where(beyond[..., None], mirror(rest, normal, offset), rest)
         self.goal_positions[worlds] = self._lay_down(goal, radius + 2.0 * radius * beyond, pose)
@@ -230,10 +234,8 @@ class ClothFoldingEnv(DeformableEnv):
 
     def _draw_normal(self, variant: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Draw unit normals of creases in the frames of the cloths, (b, 2), from numbers in [-1, 1) (b, 2)."""
-        count = self._num_directions[variant]
-        index = ((draws[:, 0] + 1.0) / 2.0 * count).long()
-        direction = self._directions[variant, torch.minimum(index, count - 1)]  # float32 rounds the largest draws up to 1
-        return _turn(direction[:, None], CREASES[self.num_grippers].deviation * self._pose_share * draws[:, 1])[:, 0]
+        direction = self._directions[variant, as_choice(draws[:, 0], self._num_directions[variant])]
+        return _turn(direction[:, None], CREASES[self.num_grippers].deviation * self.pose_share * draws[:, 1])[:, 0]
 
     def _draw_offset(self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Draw offsets of creases (b,) [m], beyond which all held nodes (b, A) lie, from numbers in [-1, 1) (b,)."""
@@ -242,7 +244,7 @@ class ClothFoldingEnv(DeformableEnv):
         nearest = signed_distances(points, normal, zero).amin(dim=1)
         low, high = MOVING_SHARES
         low = (area_beyond(outlines, normal, nearest) / self._areas[variant]).clamp(min=low)
-        share = 0.5 * (low + high) + 0.5 * (high - low) * self._pose_share * draws
+        share = 0.5 * (low + high) + 0.5 * (high - low) * self.pose_share * draws
         return offset_of_share(outlines, normal, share)
 
     def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
@@ -257,69 +259,63 @@ class ClothFoldingEnv(DeformableEnv):
 
     def _lay_down(self, points: torch.Tensor, heights: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Lay points (b, n, 2) of the cloth's frame at heights (b, n) [m], at poses given by draws in [-1, 1) (b, 3)."""
-        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self._pose_share)
-        turned = _turn(points, draws[:, 2] * (self.YAW_RANGE * self._pose_share))
+        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self.pose_share)
+        turned = _turn(points, draws[:, 2] * (self.YAW_RANGE * self.pose_share))
         return torch.cat([turned + centre, heights[..., None]], dim=-1)
 
     # ------------------------------------------------------------------ one control step
 
-    def evaluate(self) -> dict[str, torch.Tensor]:
-        """Measure how far the two halves are from their goals; observation and reward reuse it."""
-        self._goal_offsets = self.goal_positions - self.solver.positions
-        self._goal_distances = torch.linalg.vector_norm(self._goal_offsets, dim=-1)
+    def measure(self) -> GoalMeasurement:
+        """Measure how far the two halves are from their goals."""
+        offsets = self.goal_positions - self.solver.positions
+        distances = torch.linalg.vector_norm(offsets, dim=-1)
         is_moving = self.is_moving > 0.0
-        fold_distance = mean_over_nodes(self._goal_distances, is_moving)
-        drift = mean_over_nodes(self._goal_distances, self.solver.node_mask & ~is_moving)
-        fail = self.solver.frozen.clone()
-        is_folded = (fold_distance <= self.FOLD_DISTANCE_LIMIT) & (drift < self.DRIFT_LIMIT)
-        return {"success": is_folded & ~fail, "fail": fail, "fold_distance": fold_distance, "drift": drift}
+        fold_distance = mean_over_nodes(distances, is_moving)
+        drift = mean_over_nodes(distances, self.solver.node_mask & ~is_moving)
+        return GoalMeasurement(
+            success=(fold_distance <= self.FOLD_DISTANCE_LIMIT) & (drift < self.DRIFT_LIMIT),
+            metrics={"fold_distance": fold_distance, "drift": drift},
+            goal_offsets=offsets,
+            goal_distances=distances,
+        )
 
-    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
-        distance = info["fold_distance"] + self.DRIFT_WEIGHT * info["drift"]
+    def reward(self, measurement: GoalMeasurement) -> torch.Tensor:
+        """Return rewards in [0, 1], (B,); 1 where every node is at its goal."""
+        distance = measurement.metrics["fold_distance"] + self.DRIFT_WEIGHT * measurement.metrics["drift"]
         far = 1.0 - torch.tanh(distance / self.FAR_SCALE)
         near = torch.exp(-((distance / self.NEAR_SCALE) ** 2))
-        reward = self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
-        return reward * ~info["fail"]
+        return self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * measurement.success
 
-    def _object_values(self) -> dict[str, torch.Tensor]:
+    def object_values(self, measurement: GoalMeasurement) -> dict[str, torch.Tensor]:
+        """Return the way of each node to its goal, the crease, and which half the node belongs to."""
         return {
-            "goal_offset": self._goal_offsets,
-            "goal_distance": self._goal_distances,
-            "crease_normal": self.crease_normal[:, None].expand_as(self._goal_offsets),
+            "goal_offset": measurement.goal_offsets,
+            "goal_distance": measurement.goal_distances,
+            "crease_normal": self.crease_normal[:, None].expand_as(measurement.goal_offsets),
             "is_moving": self.is_moving,
         }
 
-    def _gripper_values(self) -> dict[str, torch.Tensor]:
-        held = self.start_nodes
+    def gripper_values(self, measurement: GoalMeasurement) -> dict[str, torch.Tensor]:
+        """Return the ways of the nodes at which the grippers started, and the crease."""
         return {
-            "goal_offset": self._goal_offsets.gather(1, held[..., None].expand(-1, -1, 3)),
-            "goal_distance": self._goal_distances.gather(1, held),
+            "goal_offset": self.at_start_nodes(measurement.goal_offsets),
+            "goal_distance": self.at_start_nodes(measurement.goal_distances),
             "crease_normal": self.crease_normal[:, None].expand(-1, self.num_grippers, -1),
         }
 
-    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
-        obs = {
-            "goal_positions": self.goal_positions.flatten(1).clone(),
-            "crease_normal": self.crease_normal.clone(),
-            "is_moving": self.is_moving.clone(),
+    def goal_observations(self) -> dict[str, torch.Tensor]:
+        """Return the goal position of every node, the crease and the half that is to move."""
+        return {
+            "goal_positions": self.goal_positions.flatten(1),
+            "crease_normal": self.crease_normal,
+            "is_moving": self.is_moving,
         }
-        if self.obs_mode_struct.use_state:
-            obs["cloth_positions"] = self.solver.positions.flatten(1).clone()
-            obs["cloth_velocities"] = self.solver.velocities.flatten(1).clone()
-        return obs
 
-    def _drawing(self, world: int) -> Drawing:
-        model = self._model_of(world)
+    def drawing(self, world: int) -> Drawing:
+        """Return the world with the mirrored half and the crease."""
+        model = self.model_of(world)
         crease = self.crease_ends[world] + 2.0 * model.radius * self.solver.plane[world, :3]
-        return Drawing(
-            object=Sheet(self._nodes_of(world, self.solver.positions), model.faces),
-            goal=self._draw_goal(world, model),
-            lines=(Line(crease.cpu().numpy()),),
-            grippers=self.solver.gripper_positions[world].cpu().numpy(),
-            closed=self.solver.closed[world].cpu().numpy(),
-            is_solved=bool(self.evaluate()["success"][world]),
-        )
+        return replace(super().drawing(world), goal=self._draw_goal(world, model), lines=(Line(crease.cpu().numpy()),))
 
     def _draw_goal(self, world: int, model: Model) -> Sheet:
         """Return the mirrored half, up to the crease: nodes of triangles that the crease cuts are brought onto it."""
@@ -336,9 +332,3 @@ def _turn(points: torch.Tensor, angle: torch.Tensor) -> torch.Tensor:
     cos, sin = angle.cos()[:, None], angle.sin()[:, None]
     x, y = points.unbind(-1)
     return torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
-
-
-def _stack_rows(tables: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack tables (n_m, ...) of different lengths into (M, n, ...), repeating their last rows."""
-    size = max(len(table) for table in tables)
-    return np.stack([table[np.minimum(np.arange(size), len(table) - 1)] for table in tables])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,9 @@ from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
-from maniskill_grpd.tasks.measurement import Metric
+from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
-from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
-from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
-from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet
 
 CLOTH_AREA = 0.16
 """Area of the cloth's outline [m^2]: a square of 40 cm."""
@@ -38,6 +36,13 @@ SEAT = Channel("seat", "scalar", "", "1 on the boundary of the hole (of the disc
 SEAT_OFFSET = Channel("seat_offset", "vector", "m", "hanger_offset of the middle of the seat, design")
 SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit area vector of the seat, out of the front of the cloth, design")
 SEAT_DEPTH = Channel("seat_depth", "scalar", "m", "how far the middle of the seat has come down the hanger, design")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HangingMeasurement(Measurement):
+    """How cloths hang."""
+
+    hanging: Hanging
 
 
 @register_env("ClothHanging-v1", max_episode_steps=100)
@@ -85,7 +90,6 @@ class ClothHangingEnv(DeformableEnv):
 
     GRIPPER_COUNTS = (3, 4)
     DEFAULT_NUM_GRIPPERS = 4
-    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     HAS_TABLE = False
     PROGRESS = Metric("way_to_hanger", "m")
     OBJECT_CHANNELS = (channels.VELOCITY, HANGER_OFFSET, HANGER_AXIS, HANGER_DISTANCE, SEAT, channels.CORNER, channels.HELD)
@@ -125,8 +129,6 @@ class ClothHangingEnv(DeformableEnv):
     SUCCESS_WEIGHT = 0.5
     """Share for success; with release a fifth of it is for opening grippers while the cloth hangs."""
 
-    hanging: Hanging
-    """How the cloths hang, as `evaluate` last measured it."""
     rest_positions: torch.Tensor
     """Nodes of all variants in the flat cloth, padded, (M, N, 3) [m]."""
     seat_nodes: torch.Tensor
@@ -177,7 +179,8 @@ class ClothHangingEnv(DeformableEnv):
 
     # ------------------------------------------------------------------ episode
 
-    def _build_models(self) -> list[Model]:
+    def build_models(self) -> list[Model]:
+        """Build a cloth of each shape and resolution, with a hole for a peg."""
         models = []
         for name in self.shapes:
             holes = [] if self.hole_radius is None else [hole_outline(name, CLOTH_AREA, self.hole_radius)]
@@ -185,46 +188,52 @@ class ClothHangingEnv(DeformableEnv):
             models += [cloth(outline, holes, num_nodes=num) for num in self.resolutions]
         return models
 
-    def _build_colliders(self) -> Sequence[Collider]:
+    def build_colliders(self) -> Sequence[Collider]:
+        """Build the hanger."""
         return self._hanger.colliders
 
-    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+    def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        """Return as many corners as there are grippers."""
         return spread_corners(model, self.num_grippers)
 
-    def _allocate_episode(self) -> None:
-        self.hanger_point = self._episode_tensor("hanger_point", 3, kind="position")
-        self.hanger_axis = self._episode_tensor("hanger_axis", 3, kind="vector")
-        self._open_steps = self._episode_tensor("open_steps", kind="scalar")
+    def allocate_episode(self) -> None:
+        """Create the pose of the hanger, the clock of open grippers, and tables of cloths."""
+        self.hanger_point = self.episode_tensor("hanger_point", 3, kind="position")
+        self.hanger_axis = self.episode_tensor("hanger_axis", 3, kind="vector")
+        self._open_steps = self.episode_tensor("open_steps", kind="scalar")
         self._hanger.attach(self.solver)
-        count, num_nodes = len(self.models), self.solver.num_nodes
         loops = [ring_about_middle(m) if self.hole_radius is None else m.node_sets["hole_0"] for m in self.models]
-        longest = max(len(loop) for loop in loops)
-        flat, in_seat = np.zeros((count, num_nodes, 3), np.float32), np.zeros((count, num_nodes), np.float32)
-        for index, (model, loop) in enumerate(zip(self.models, loops, strict=True)):
-            flat[index, : model.num_nodes] = model.rest_positions
-            in_seat[index, loop] = 1.0
-        seats = np.stack([np.pad(loop, (0, longest - len(loop)), mode="edge") for loop in loops])
-        corners = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
-        self.rest_positions, self._in_seat, self.seat_nodes, self._held_nodes = (
-            torch.as_tensor(table, device=self.device) for table in (flat, in_seat, seats, corners)
+        self.rest_positions = self.node_table([model.rest_positions for model in self.models])
+        self._in_seat = self.node_table(
+            [np.isin(np.arange(m.num_nodes), loop).astype(np.float32) for m, loop in zip(self.models, loops, strict=True)]
         )
+        self.seat_nodes = self.variant_table(loops)
+        self._held_nodes = self.variant_table([self.candidate_gripper_nodes(model) for model in self.models])
 
-    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        variant = self.solver.variants[worlds].long()
-        draws = self._draw_uniform(worlds, 11)
-        angle = self.ANGLE_RANGE * self._pose_share
-        turn = quaternion_to_matrix(orientations_in_cap(draws[:, 0:3], angle))
-        centre = self.CENTRE_RANGE * self._pose_share * draws[:, None, 3:6]
-        self._place_hanger(worlds, draws[:, 6:11], angle)
+    def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Place the hanger, and the flat cloth away from it."""
+        variant = self.variants[worlds]
+        turn, centre, direction, distance, axis = self.draw_uniform(worlds, 3, 3, 2, 1, 2)
+        angle = self.ANGLE_RANGE * self.pose_share
+        turn = quaternion_to_matrix(orientations_in_cap(turn, angle))
+        centre = self.CENTRE_RANGE * self.pose_share * centre[:, None]
+        self._place_hanger(worlds, directions_in_cap(direction, angle), distance, axis)
         self._open_steps[worlds] = 0.0
         return self.rest_positions[variant] @ turn.mT + centre, self._held_nodes[variant]
 
-    def _place_hanger(self, worlds: torch.Tensor, draws: torch.Tensor, angle: float) -> None:
-        """Place the hangers of some worlds by draws in [-1, 1) (b, 5), at most `angle` away from the x axis."""
+    def _place_hanger(self, worlds: torch.Tensor, direction: torch.Tensor, distance: torch.Tensor, axis: torch.Tensor) -> None:
+        """Place the hangers of some worlds.
+
+        Args:
+            worlds: (b,).
+            direction: Where the hangers' middles lie, unit vectors about z that are turned to x, (b, 3).
+            distance: How far away, in [-1, 1), (b, 1).
+            axis: Where they point, in [-1, 1), (b, 2).
+        """
         nearest, farthest = self._hanger.distances
-        distance = nearest + (farthest - nearest) * (draws[:, 2:3] + 1.0) / 2.0
-        middles = distance * directions_in_cap(draws[:, 0:2], angle).roll(1, dims=-1)  # from about z to about x
-        axes = self._hanger.draw_axes(draws[:, 3:5], self._pose_share)
+        distance = nearest + (farthest - nearest) * (distance + 1.0) / 2.0
+        middles = distance * direction.roll(1, dims=-1)  # from about z to about x
+        axes = self._hanger.draw_axes(axis, self.pose_share)
         self.hanger_point[worlds], self.solver.collider_positions[worlds] = self._hanger.place(middles, axes)
         self.hanger_axis[worlds] = axes
         self.solver.collider_rotations[worlds] = tilts_of_z(axes)[:, None]
@@ -238,44 +247,38 @@ class ClothHangingEnv(DeformableEnv):
 
     def seat_loop(self) -> torch.Tensor:
         """Return the boundary of the part of the cloth that comes onto the hanger, (B, L, 3) [m], the last point repeated."""
-        nodes = self.seat_nodes[self.solver.variants.long()]
+        nodes = self.seat_nodes[self.variants]
         return self.solver.positions.gather(1, nodes[..., None].expand(-1, -1, 3))
 
-    def evaluate(self) -> dict[str, torch.Tensor]:
-        """Measure how the cloth hangs; observation and reward reuse it."""
-        self.hanging = self._hanger.measure(self.solver, self.seat_loop(), self.hanger_point, self.hanger_axis)
-        fail = self.solver.frozen.clone()
-        success = self.hanging.is_hung & ~fail
+    def measure(self) -> HangingMeasurement:
+        """Measure how the cloth hangs."""
+        hanging = self._hanger.measure(self.solver, self.seat_loop(), self.hanger_point, self.hanger_axis)
+        success = hanging.is_hung
         if self.release:
             success = success & (self._open_steps >= self.OPEN_STEPS)
-        return {
-            "success": success,
-            "fail": fail,
-            "is_hung": self.hanging.is_hung,
-            "way_to_hanger": self.hanging.way,
-            **self.hanging.measures,
-        }
+        metrics = {"is_hung": hanging.is_hung, "way_to_hanger": hanging.way, **hanging.measures}
+        return HangingMeasurement(success=success, metrics=metrics, hanging=hanging)
 
-    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 0 after a failure."""
-        hanging, done = self.hanging, info["success"].float()
+    def reward(self, measurement: HangingMeasurement) -> torch.Tensor:
+        """Return rewards in [0, 1], (B,)."""
+        hanging, done = measurement.hanging, measurement.success.float()
         if self.release:
             done = 0.8 * done + 0.2 * (~self.solver.closed).float().mean(dim=1) * hanging.is_hung
         near = 1.0 - torch.tanh(hanging.way / self.WAY_SCALE)
-        reward = (
+        return (
             self.WAY_WEIGHT * near
             + self.ALIGNMENT_WEIGHT * near * hanging.alignment
             + self.PROGRESS_WEIGHT * hanging.progress
             + self.SUCCESS_WEIGHT * done
         )
-        return reward * ~info["fail"]
 
-    def _object_values(self) -> dict[str, torch.Tensor]:
-        seat = self._in_seat[self.solver.variants.long()]
-        return {**self._hanger_values(self.solver.positions), "seat": seat}
+    def object_values(self, measurement: HangingMeasurement) -> dict[str, torch.Tensor]:
+        """Return where the hanger is, seen from the nodes, and which of them come onto it."""
+        return {**self._hanger_values(self.solver.positions), "seat": self._in_seat[self.variants]}
 
-    def _gripper_values(self) -> dict[str, torch.Tensor]:
-        grippers, hanging = self.solver.gripper_positions, self.hanging
+    def gripper_values(self, measurement: HangingMeasurement) -> dict[str, torch.Tensor]:
+        """Return where the hanger is, seen from the grippers and from the seat."""
+        grippers, hanging = self.solver.gripper_positions, measurement.hanging
         return {
             **self._hanger_values(grippers),
             "seat_offset": hanging.offset[:, None].expand_as(grippers),
@@ -292,25 +295,9 @@ class ClothHangingEnv(DeformableEnv):
             "hanger_distance": self._hanger.distances_to(points, *pose),
         }
 
-    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
-        obs = {"hanger_point": self.hanger_point.clone(), "hanger_axis": self.hanger_axis.clone()}
-        if self.obs_mode_struct.use_state:
-            obs["cloth_positions"] = self.solver.positions.flatten(1).clone()
-            obs["cloth_velocities"] = self.solver.velocities.flatten(1).clone()
-        return obs
-
-    # ------------------------------------------------------------------ pictures
-
-    def _drawing(self, world: int) -> Drawing:
-        solver, model = self.solver, self._model_of(world)
-        return Drawing(
-            object=Sheet(self._nodes_of(world, solver.positions), model.faces),
-            solids=collider_solids(solver, world),
-            grippers=solver.gripper_positions[world].cpu().numpy(),
-            closed=solver.closed[world].cpu().numpy(),
-            is_solved=bool(self.evaluate()["success"][world]),
-            has_table=self.HAS_TABLE,
-        )
+    def goal_observations(self) -> dict[str, torch.Tensor]:
+        """Return the point and the axis of the hanger."""
+        return {"hanger_point": self.hanger_point, "hanger_axis": self.hanger_axis}
 
 
 def _with_free_grasp(settings: dict[str, Any]) -> dict[str, Any]:

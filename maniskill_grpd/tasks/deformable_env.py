@@ -13,14 +13,14 @@ from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
 from mani_skill.utils import common
 from mani_skill.utils.structs.types import SimConfig
 
-from maniskill_grpd.graphs import Channel, GraphSchema
+from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
-from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
+from maniskill_grpd.tasks.observation.observed_worlds import ObservedWorlds
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
-from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team
+from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, gripper_teams
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.seeds import expand_seeds
@@ -28,6 +28,7 @@ from maniskill_grpd.tasks.pictures.painters import choose_painter
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.episode_starts import EpisodeStarts
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.worlds.restorable_worlds import RestorableWorlds
 
@@ -39,7 +40,7 @@ OUT_OF_REACH = 100.0
 """How far below the origin the table of a task without one is [m]."""
 
 
-class DeformableEnv(RestorableWorlds, WorldPictures):
+class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictures):
     """A batch of worlds in which floating grippers manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
@@ -48,13 +49,14 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
     One `step(action)` goes through:
         1. `agent.set_action`          checks the action, moves the gripper targets, commands the grip
         2. `scene.step` -> `solver.step`  moves the worlds, grippers reach their targets
-        3. `evaluate`                  measures the worlds: success, fail, distances
-        4. `get_obs` -> `_get_obs_graph` / `_get_obs_extra`
-        5. `compute_dense_reward`
+        3. `evaluate` -> `measure`     measures the worlds, once: success, fail, distances
+        4. `get_obs` -> `object_values`, `gripper_values`, `goal_observations`
+        5. `compute_dense_reward` -> `reward`
 
-    A task names its channels in `OBJECT_CHANNELS` and `GRIPPER_CHANNELS`, implements what stands
-    under "what a task implements" below, `evaluate`, `compute_dense_reward` and `_drawing`. Tensors
-    that belong to an episode, such as goals, come from `_episode_tensor`: they become part of the
+    A task names its metric of progress in `PROGRESS` and its channels in `OBJECT_CHANNELS` and `GRIPPER_CHANNELS`. It implements
+    `build_models`, `candidate_gripper_nodes`, `start_episode`, `measure` and `reward`, and, where it needs them,
+    `build_colliders`, `allocate_episode`, `object_values`, `gripper_values`, `goal_observations` and `drawing`
+    (docs/own_task.md). Tensors that belong to an episode, such as goals, come from `episode_tensor`: they become part of the
     state and move with their world.
 
     Args:
@@ -87,17 +89,10 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
     GRIPPER_COUNTS: tuple[int, ...]
     """Allowed numbers of grippers."""
     DEFAULT_NUM_GRIPPERS: int
-    HAS_TABLE = True
-    """Whether there is a table, at z = 0."""
     SELF_COLLISION = False
     """Whether the object collides with itself."""
-    PROGRESS: Metric
-    """The number in `info` that tells best how near a task is to being done, for curves and summaries."""
     OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
-
-    graph_schema: GraphSchema
-    """What `obs["graph"]` holds."""
 
     def __init__(
         self,
@@ -117,6 +112,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         num_threads: int | None = None,
         **settings: Any,
     ) -> None:
+        self._check_hooks()
         _check_choice("pose_range", pose_range, tuple(POSE_RANGES))
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
         if num_envs < 1:
@@ -126,7 +122,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
-        self._pose_share = POSE_RANGES[pose_range]
+        self.pose_share = POSE_RANGES[pose_range]
         self._num_graph_nodes = graph_nodes
         self._num_threads = num_threads
         self._compute_device = choose_compute_device(sim_backend)
@@ -147,42 +143,46 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         if render_mode in ("sensors", "all") and not needs_camera(base_mode):
             self.obs_mode_struct.visual.rgb = True  # what ManiSkill's pictures of sensors show
 
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        if "GRIPPER_COUNTS" in cls.__dict__ and "SUPPORTED_ROBOTS" not in cls.__dict__:
+            cls.SUPPORTED_ROBOTS = gripper_teams(cls.GRIPPER_COUNTS)
+
+    def _check_hooks(self) -> None:
+        task = type(self)
+        missing = [name for name in dir(task) if getattr(getattr(task, name), "__isabstractmethod__", False)]
+        missing += [name for name in ("GRIPPER_COUNTS", "DEFAULT_NUM_GRIPPERS", "PROGRESS") if not hasattr(task, name)]
+        if missing:
+            raise TypeError(f"{task.__name__} must define {', '.join(missing)}; see DeformableEnv")
+
     # ------------------------------------------------------------------ what a task implements
 
     @abstractmethod
-    def _build_models(self) -> Sequence[Model]:
+    def build_models(self) -> Sequence[Model]:
         """Build the variants of the object; every episode draws one of them."""
 
-    def _build_colliders(self) -> Sequence[Collider]:
+    def build_colliders(self) -> Sequence[Collider]:
         """Build the obstacles, the same in all worlds but for pose, size and switch; none by default."""
         return ()
 
     @abstractmethod
-    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+    def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
         """Return the nodes of a variant at which grippers may start; a thinned graph shows them all."""
 
-    def _allocate_episode(self) -> None:
-        """Create the tensors of an episode with `_episode_tensor`; none by default."""
+    def allocate_episode(self) -> None:
+        """Create the tensors of an episode with `episode_tensor`; none by default."""
 
     @abstractmethod
-    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Draw an episode for some worlds (b,), whose variants are drawn already: write goals and obstacles.
 
-        Random numbers come from `_draw_uniform`, so that the episode of a world depends on its own
+        Random numbers come from `draw_uniform`, so that the episode of a world depends on its own
         seed alone.
 
         Returns:
             Positions of the nodes, (b, N, 3) [m], finite also in the padding, and the node that each
             gripper holds, (b, A) int64.
         """
-
-    def _object_values(self) -> dict[str, torch.Tensor]:
-        """Return the task's own channels of the object: vectors (B, N, 3), scalars (B, N)."""
-        return {}
-
-    def _gripper_values(self) -> dict[str, torch.Tensor]:
-        """Return the task's own channels of the grippers: vectors (B, A, 3), scalars (B, A)."""
-        return {}
 
     # ------------------------------------------------------------------ building the scene
 
@@ -221,7 +221,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
                 f"substeps), got {self._sim_freq} and {self._control_freq}"
             )
         self._set_scene_config()
-        self.models = tuple(self._build_models())
+        self.models = tuple(self.build_models())
         self.solver = Solver(
             self.models,
             self.num_envs,
@@ -229,7 +229,7 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
             control_dt=self.control_timestep,
             device=self.device,
             num_threads=self._num_threads,
-            colliders=self._build_colliders(),
+            colliders=self.build_colliders(),
             self_collision=self.SELF_COLLISION,
         )
         self.start_nodes = torch.zeros(self.num_envs, self.num_grippers, dtype=torch.int64, device=self.device)
@@ -254,14 +254,14 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
 
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
-        self._allocate_episode()
+        self.allocate_episode()
         self._graph = GraphObservation(
-            self.solver, self._candidate_gripper_nodes, self.OBJECT_CHANNELS, self.GRIPPER_CHANNELS, self._num_graph_nodes
+            self.solver, self.candidate_gripper_nodes, self.OBJECT_CHANNELS, self.GRIPPER_CHANNELS, self._num_graph_nodes
         )
         self.graph_schema = self._graph.schema
         self._painter = choose_painter(self)
 
-    def _episode_tensor(self, name: str, *shape: int, kind: Kind) -> torch.Tensor:
+    def episode_tensor(self, name: str, *shape: int, kind: Kind) -> torch.Tensor:
         """Return zeros (B, *shape), float32, that are part of the state of an episode and move with its world."""
         return self._episode.allocate(name, *shape, kind=kind)
 
@@ -304,31 +304,23 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         solver.gravity[worlds] = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=self.device)
         height = 0.0 if self.HAS_TABLE else -OUT_OF_REACH
         solver.plane[worlds] = torch.tensor([0.0, 0.0, 1.0, height], device=self.device)
-        solver.reset(worlds, variants=self._draw_choice(worlds, len(self.models)))
-        positions, self.start_nodes[worlds] = self._start_episode(worlds)
+        solver.reset(worlds, variants=self.draw_choice(worlds, len(self.models)))
+        positions, nodes = self.start_episode(worlds)
+        self._check_start(worlds, positions, nodes)
+        self.start_nodes[worlds] = nodes
         if self._material.num_draws:
-            draws = self._draw_uniform(worlds, self._material.num_draws)
+            (draws,) = self.draw_uniform(worlds, self._material.num_draws)
             solver.set_material(worlds, **self._material.factors(draws))
         solver.reset(worlds, positions, self.start_nodes[worlds])
         self.scene.grip_commands[worlds] = True
         for agent in self._agents:
             agent.robot.place(worlds)
-
-    def _draw_choice(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
-        """Draw one of `num` possibilities for some worlds, (b,) int64; without a draw where there is but one."""
-        if num == 1:
-            return torch.zeros_like(worlds)
-        share = (self._draw_uniform(worlds, 1)[:, 0] + 1.0) / 2.0
-        return (share * num).long().clamp_max(num - 1)  # float32 rounds the largest draws up to 1
-
-    def _draw_uniform(self, worlds: torch.Tensor, num: int) -> torch.Tensor:
-        """Draw numbers in [-1, 1) for some worlds (b,), from each one's generator, (b, num)."""
-        draws = self._batched_episode_rng[worlds.cpu().numpy()].uniform(-1.0, 1.0, size=num)
-        return torch.as_tensor(draws, dtype=torch.float32, device=self.device)
+        self.forget_measurement()
 
     # ------------------------------------------------------------------ one control step
 
     def _before_simulation_step(self) -> None:
+        self.forget_measurement()
         for agent in self._agents:
             agent.robot.start_motion()
 
@@ -341,37 +333,6 @@ class DeformableEnv(RestorableWorlds, WorldPictures):
         info = super().get_info()
         info["elapsed_steps"] = info["elapsed_steps"].clone()
         return info
-
-    @property
-    def obs_mode(self) -> str:
-        """The observation mode, with the graph."""
-        return self._full_obs_mode
-
-    def get_obs(self, info: dict | None = None, unflattened: bool = False) -> Any:
-        """Return the observation, as copies; `info` is what `get_info` returned for this state."""
-        info = self.get_info() if info is None else info
-        obs = super().get_obs(info, unflattened=unflattened)
-        return self._with_graph(obs, self._get_obs_graph()) if self._has_graph else obs
-
-    def _flatten_raw_obs(self, obs: Any) -> Any:
-        if not (self._has_graph and isinstance(obs, dict) and "graph" in obs):
-            return super()._flatten_raw_obs(obs)
-        graph = obs.pop("graph")
-        return self._with_graph(super()._flatten_raw_obs(obs), graph)
-
-    @staticmethod
-    def _with_graph(obs: Any, graph: dict) -> dict:
-        rest = obs if isinstance(obs, dict) else {"state": obs}
-        return {**rest, "graph": graph}
-
-    def _get_obs_graph(self) -> dict[str, Any]:
-        """Return the graph that `graph_schema` describes."""
-        velocities = torch.cat([agent.robot.qvel for agent in self._agents], dim=1).unflatten(1, (-1, 3))
-        return self._graph.build(self.start_nodes, velocities, self._object_values(), self._gripper_values())
-
-    def compute_normalized_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return the dense reward, which is in [0, 1] in all tasks."""
-        return self.compute_dense_reward(obs=obs, action=action, info=info)
 
 
 def _check_choice(name: str, value: str | None, allowed: tuple[str | None, ...]) -> None:

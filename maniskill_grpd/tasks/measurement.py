@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
 
 
 @dataclass(frozen=True)
@@ -16,3 +19,29 @@ class Metric:
 
     name: str
     unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """How the episodes of B worlds stand; reward, observation and `info` all follow from it.
+
+    A task adds what it measures beside these in a frozen subclass with fields of its own, such as the offsets of all nodes from
+    their goals.
+    """
+
+    success: torch.Tensor
+    """Whether the task is done at this step, (B,) bool."""
+    fail: torch.Tensor | None = None
+    """Whether the episode has failed, (B,) bool; None where nothing fails but worlds that have diverged, which always do."""
+    metrics: Mapping[str, torch.Tensor] = field(default_factory=dict)
+    """Numbers for `info`, each (B,)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalMeasurement(Measurement):
+    """A measurement where every node has a goal of its own."""
+
+    goal_offsets: torch.Tensor
+    """From the nodes to their goals, (B, N, 3) [m]."""
+    goal_distances: torch.Tensor
+    """Lengths of these, (B, N) [m]."""

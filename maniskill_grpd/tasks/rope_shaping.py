@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,12 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.physics import Model, rope
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
-from maniskill_grpd.tasks.measurement import Metric
+from maniskill_grpd.tasks.measurement import GoalMeasurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import max_over_nodes, mean_over_nodes
-from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Tube
+from maniskill_grpd.tasks.worlds.choices import as_choice
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""
@@ -59,7 +60,6 @@ class RopeShapingEnv(DeformableEnv):
 
     GRIPPER_COUNTS = tuple(GRIPPER_ARCS)
     DEFAULT_NUM_GRIPPERS = 4
-    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     PROGRESS = Metric("mean_distance", "m")
     OBJECT_CHANNELS = (
         channels.VELOCITY,
@@ -125,41 +125,38 @@ class RopeShapingEnv(DeformableEnv):
 
     # ------------------------------------------------------------------ episode
 
-    def _build_models(self) -> list[Model]:
+    def build_models(self) -> list[Model]:
+        """Build a straight rope of each resolution."""
         half = ROPE_LENGTH / 2
         return [rope([[-half, 0.0], [half, 0.0]], num_nodes=num) for num in self.resolutions]
 
-    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+    def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        """Return the nodes at `GRIPPER_ARCS`."""
         fractions = np.array(GRIPPER_ARCS[self.num_grippers])
         return np.rint(fractions * (model.num_nodes - 1)).astype(np.int64)
 
-    def _allocate_episode(self) -> None:
-        num_nodes = self.solver.num_nodes
-        self.goal_positions = self._episode_tensor("goal_positions", num_nodes, 3, kind="position")
-        straight = np.zeros((len(self.models), num_nodes, 2), np.float32)
-        curves = np.zeros((len(self.models), len(self.shapes), num_nodes, 2), np.float32)
-        for index, model in enumerate(self.models):
-            straight[index, : model.num_nodes] = model.rest_positions[:, :2]
-            for shape, name in enumerate(self.shapes):
-                curves[index, shape, : model.num_nodes] = goal_curve(name, model.length, model.num_nodes)
-        held = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
-        self._straight, self._goal_curves, self._held_nodes = (
-            torch.as_tensor(table, device=self.device) for table in (straight, curves, held)
-        )
+    def allocate_episode(self) -> None:
+        """Create the goals, and tables of ropes and goal curves."""
+        self.goal_positions = self.episode_tensor("goal_positions", self.solver.num_nodes, 3, kind="position")
+        curves = [
+            np.stack([goal_curve(name, model.length, model.num_nodes) for name in self.shapes], axis=1) for model in self.models
+        ]
+        self._straight = self.node_table([model.rest_positions[:, :2] for model in self.models])
+        self._goal_curves = self.node_table(curves).transpose(1, 2)
+        self._held_nodes = self.variant_table([self.candidate_gripper_nodes(model) for model in self.models])
 
-    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        variant = self.solver.variants[worlds].long()
-        draws = self._draw_uniform(worlds, 7)
-        shape = ((draws[:, 6] + 1.0) / 2.0 * len(self.shapes)).long()
-        # float32 rounds the largest draws up to 1
-        curves = self._goal_curves[variant, shape.clamp_max(len(self.shapes) - 1)]
-        self.goal_positions[worlds] = self._lay_down(curves, draws[:, 3:6])
-        return self._lay_down(self._straight[variant], draws[:, 0:3]), self._held_nodes[variant]
+    def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Lay rope and goal on the table."""
+        variant = self.variants[worlds]
+        start, goal, shape = self.draw_uniform(worlds, 3, 3, 1)
+        curves = self._goal_curves[variant, as_choice(shape[:, 0], len(self.shapes))]
+        self.goal_positions[worlds] = self._lay_down(curves, goal)
+        return self._lay_down(self._straight[variant], start), self._held_nodes[variant]
 
     def _lay_down(self, curves: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Lay planar curves (b, N, 2) on the table, at poses given by draws in [-1, 1) (b, 3)."""
-        yaw = draws[:, 2, None] * (self.YAW_RANGE * self._pose_share)
-        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self._pose_share)
+        yaw = draws[:, 2, None] * (self.YAW_RANGE * self.pose_share)
+        centre = draws[:, None, :2] * (self.CENTRE_RANGE * self.pose_share)
         x, y = curves.unbind(-1)
         cos, sin = yaw.cos(), yaw.sin()
         turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1) + centre
@@ -167,48 +164,42 @@ class RopeShapingEnv(DeformableEnv):
 
     # ------------------------------------------------------------------ one control step
 
-    def evaluate(self) -> dict[str, torch.Tensor]:
-        """Measure how far the nodes are from their goals; observation and reward reuse it."""
-        self._goal_offsets = self.goal_positions - self.solver.positions
-        self._goal_distances = torch.linalg.vector_norm(self._goal_offsets, dim=-1)
-        mean = mean_over_nodes(self._goal_distances, self.solver.node_mask)
-        largest = max_over_nodes(self._goal_distances, self.solver.node_mask)
-        fail = self.solver.frozen.clone()
-        is_close = (mean <= self.MEAN_DISTANCE_LIMIT) & (largest <= self.MAX_DISTANCE_LIMIT)
-        return {"success": is_close & ~fail, "fail": fail, "mean_distance": mean, "max_distance": largest}
-
-    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 1 where every node is at its goal, 0 after a failure."""
-        far = 1.0 - torch.tanh(info["mean_distance"] / self.FAR_SCALE)
-        near = torch.exp(-((info["mean_distance"] / self.NEAR_SCALE) ** 2))
-        reward = self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * info["success"]
-        return reward * ~info["fail"]
-
-    def _object_values(self) -> dict[str, torch.Tensor]:
-        return {"goal_offset": self._goal_offsets, "goal_distance": self._goal_distances}
-
-    def _gripper_values(self) -> dict[str, torch.Tensor]:
-        held = self.start_nodes
-        return {
-            "goal_offset": self._goal_offsets.gather(1, held[..., None].expand(-1, -1, 3)),
-            "goal_distance": self._goal_distances.gather(1, held),
-        }
-
-    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
-        obs = {"goal_positions": self.goal_positions.flatten(1).clone()}
-        if self.obs_mode_struct.use_state:
-            obs["rope_positions"] = self.solver.positions.flatten(1).clone()
-            obs["rope_velocities"] = self.solver.velocities.flatten(1).clone()
-        return obs
-
-    def _drawing(self, world: int) -> Drawing:
-        return Drawing(
-            object=Tube(self._nodes_of(world, self.solver.positions), self.solver.model.radius),
-            goal=Tube(self._nodes_of(world, self.goal_positions), self.solver.model.radius),
-            grippers=self.solver.gripper_positions[world].cpu().numpy(),
-            closed=self.solver.closed[world].cpu().numpy(),
-            is_solved=bool(self.evaluate()["success"][world]),
+    def measure(self) -> GoalMeasurement:
+        """Measure how far the nodes are from their goals."""
+        offsets = self.goal_positions - self.solver.positions
+        distances = torch.linalg.vector_norm(offsets, dim=-1)
+        mean = mean_over_nodes(distances, self.solver.node_mask)
+        largest = max_over_nodes(distances, self.solver.node_mask)
+        return GoalMeasurement(
+            success=(mean <= self.MEAN_DISTANCE_LIMIT) & (largest <= self.MAX_DISTANCE_LIMIT),
+            metrics={"mean_distance": mean, "max_distance": largest},
+            goal_offsets=offsets,
+            goal_distances=distances,
         )
+
+    def reward(self, measurement: GoalMeasurement) -> torch.Tensor:
+        """Return rewards in [0, 1], (B,); 1 where every node is at its goal."""
+        distance = measurement.metrics["mean_distance"]
+        far = 1.0 - torch.tanh(distance / self.FAR_SCALE)
+        near = torch.exp(-((distance / self.NEAR_SCALE) ** 2))
+        return self.FAR_WEIGHT * far + self.NEAR_WEIGHT * near + self.SUCCESS_WEIGHT * measurement.success
+
+    def object_values(self, measurement: GoalMeasurement) -> dict[str, torch.Tensor]:
+        """Return the way of each node to its goal."""
+        return {"goal_offset": measurement.goal_offsets, "goal_distance": measurement.goal_distances}
+
+    def gripper_values(self, measurement: GoalMeasurement) -> dict[str, torch.Tensor]:
+        """Return the ways of the nodes at which the grippers started."""
+        return {name: self.at_start_nodes(values) for name, values in self.object_values(measurement).items()}
+
+    def goal_observations(self) -> dict[str, torch.Tensor]:
+        """Return the goal position of every node."""
+        return {"goal_positions": self.goal_positions.flatten(1)}
+
+    def drawing(self, world: int) -> Drawing:
+        """Return the world with the goal curve."""
+        goal = Tube(self.nodes_of(world, self.goal_positions), self.solver.model.radius)
+        return replace(super().drawing(world), goal=goal)
 
 
 def _check_shapes(shapes: Sequence[str]) -> tuple[str, ...]:

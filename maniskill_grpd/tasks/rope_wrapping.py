@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,10 @@ from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.post_leash import limit_around_post
 from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT, POSTS
 from maniskill_grpd.tasks.geometry.winding import angles_between, turning_angles, winding_number
-from maniskill_grpd.tasks.measurement import Metric
+from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
-from maniskill_grpd.tasks.options.gripper_teams import gripper_teams
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
-from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
-from maniskill_grpd.tasks.pictures.drawing import Drawing, Tube
 
 ROPE_LENGTH = 0.8
 """Length of the rope [m]."""
@@ -39,6 +37,16 @@ POST_CHANNELS = (
 PARTNER_OFFSET = Channel("partner_offset", "vector", "m", "position of the other gripper minus position, design")
 PARTNER_DISTANCE = Channel("partner_distance", "scalar", "m", "distance of the other gripper, design")
 WINDING = Channel("winding", "scalar", "", "|winding number| of the rope about the post, design")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrappingMeasurement(Measurement):
+    """How far a rope is closed around its post."""
+
+    post_rotation: torch.Tensor
+    """The axes of the post's frame are its columns, (B, 3, 3)."""
+    rope: torch.Tensor
+    """The nodes in the frame of the post, (B, N, 3) [m]."""
 
 
 @register_env("RopeWrapping-v1", max_episode_steps=100)
@@ -75,7 +83,6 @@ class RopeWrappingEnv(DeformableEnv):
 
     GRIPPER_COUNTS = (2,)
     DEFAULT_NUM_GRIPPERS = 2
-    SUPPORTED_ROBOTS = gripper_teams(GRIPPER_COUNTS)
     PROGRESS = Metric("winding", "")
     OBJECT_CHANNELS = (channels.VELOCITY, *POST_CHANNELS, channels.ARC, channels.HELD, channels.CONTACT)
     GRIPPER_CHANNELS = (
@@ -131,35 +138,36 @@ class RopeWrappingEnv(DeformableEnv):
 
     # ------------------------------------------------------------------ episode
 
-    def _build_models(self) -> list[Model]:
+    def build_models(self) -> list[Model]:
+        """Build a straight rope of each resolution."""
         half = ROPE_LENGTH / 2
         return [rope([[-half, 0.0], [half, 0.0]], num_nodes=num) for num in self.resolutions]
 
-    def _build_colliders(self) -> list[Collider]:
+    def build_colliders(self) -> list[Collider]:
+        """Build a post of each shape; one stands in each world."""
         return [POSTS[shape].collider for shape in self.shapes]
 
-    def _candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+    def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
+        """Return the ends."""
         return model.node_sets["ends"]
 
-    def _allocate_episode(self) -> None:
-        along = np.zeros((len(self.models), self.solver.num_nodes), np.float32)
-        for index, model in enumerate(self.models):
-            along[index, : model.num_nodes] = model.rest_positions[:, 0]
-        ends = np.stack([self._candidate_gripper_nodes(model) for model in self.models])
+    def allocate_episode(self) -> None:
+        """Create tables of ropes and posts."""
         radii = np.array([POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes])
         is_shape = np.array([[name == shape for name in POSTS] for shape in self.shapes], np.float32)
-        self._along, self._end_nodes, self._taut_radii, self._is_shape = (
-            torch.as_tensor(table, device=self.device) for table in (along, ends, radii, is_shape)
-        )
+        self._taut_radii, self._is_shape = (torch.as_tensor(table, device=self.device) for table in (radii, is_shape))
+        self._along = self.node_table([model.rest_positions[:, 0] for model in self.models])
+        self._end_nodes = self.variant_table([self.candidate_gripper_nodes(model) for model in self.models])
 
-    def _start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        variant = self.solver.variants[worlds].long()
-        shape = self._draw_choice(worlds, len(self.shapes))
-        draws = self._draw_uniform(worlds, 6)
-        centre = draws[:, :2] * (self.CENTRE_RANGE * self._pose_share)
-        yaws = draws[:, 2:4] * (self.YAW_RANGE * self._pose_share)
+    def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Stand a post on the table, and lay the rope beside it."""
+        variant = self.variants[worlds]
+        shape = self.draw_choice(worlds, len(self.shapes))
+        centre, yaws, passing = self.draw_uniform(worlds, 2, 2, 2)
+        centre = centre * (self.CENTRE_RANGE * self.pose_share)
+        yaws = yaws * (self.YAW_RANGE * self.pose_share)
         self._place_posts(worlds, shape, centre, yaws[:, 0])
-        return self._lay_down(self._along[variant], centre, yaws[:, 1], draws[:, 4:]), self._end_nodes[variant]
+        return self._lay_down(self._along[variant], centre, yaws[:, 1], passing), self._end_nodes[variant]
 
     def _place_posts(self, worlds: torch.Tensor, shape: torch.Tensor, centre: torch.Tensor, yaw: torch.Tensor) -> None:
         """Stand posts of given shapes (b,) on the table at (b, 2) [m], turned by (b,) [rad]; the other shapes are not there."""
@@ -179,8 +187,8 @@ class RopeWrappingEnv(DeformableEnv):
         """
         near, far = self.PASSING_RANGE
         side = torch.where(draws[:, 0] < 0.0, -1.0, 1.0)
-        aside = side * near + draws[:, 0] * ((far - near) * self._pose_share)
-        along = along + draws[:, 1, None] * (self.SHIFT_RANGE * self._pose_share)
+        aside = side * near + draws[:, 0] * ((far - near) * self.pose_share)
+        along = along + draws[:, 1, None] * (self.SHIFT_RANGE * self.pose_share)
         direction = torch.stack([yaw.cos(), yaw.sin()], dim=-1)
         normal = torch.stack([-yaw.sin(), yaw.cos()], dim=-1)
         foot = post + aside[:, None] * normal
@@ -231,75 +239,62 @@ class RopeWrappingEnv(DeformableEnv):
         """Index of the shape of each post in `shapes`, (B,) int64."""
         return self.solver.collider_active.long().argmax(dim=1)
 
-    def evaluate(self) -> dict[str, torch.Tensor]:
-        """Measure how far the rope is closed around the post; the observation reuses it."""
-        solver = self.solver
-        self._rotation = self.post_rotation
-        self._rope = self.in_post_frame(solver.positions, self._rotation)
-        self._winding = winding_number(self._rope[..., :2], solver.node_mask).abs()
-        ends = self._end_nodes[solver.variants.long()]
+    def measure(self) -> WrappingMeasurement:
+        """Measure how far the rope is closed around the post."""
+        solver, rotation = self.solver, self.post_rotation
+        rope = self.in_post_frame(solver.positions, rotation)
+        winding = winding_number(rope[..., :2], solver.node_mask).abs()
+        ends = self._end_nodes[self.variants]
         first, last = solver.positions.gather(1, ends[..., None].expand(-1, -1, 3)).unbind(1)
         gap = torch.linalg.vector_norm(last - first, dim=-1)
-        is_at_height = (self._rope[..., 2] >= 0.0) & (self._rope[..., 2] <= POST_HEIGHT)
-        fail = solver.frozen.clone()
-        is_closed = (self._winding >= self.WINDING_LIMIT) & (gap <= self.ENDS_LIMIT)
-        return {
-            "success": is_closed & (is_at_height | ~solver.node_mask).all(dim=1) & ~fail,
-            "fail": fail,
-            "winding": self._winding.clone(),
-            "ends_distance": gap,
-            "share_at_height": mean_over_nodes(is_at_height, solver.node_mask),
-        }
+        is_at_height = (rope[..., 2] >= 0.0) & (rope[..., 2] <= POST_HEIGHT)
+        is_closed = (winding >= self.WINDING_LIMIT) & (gap <= self.ENDS_LIMIT)
+        share_at_height = mean_over_nodes(is_at_height, solver.node_mask)
+        return WrappingMeasurement(
+            success=is_closed & (is_at_height | ~solver.node_mask).all(dim=1),
+            metrics={"winding": winding, "ends_distance": gap, "share_at_height": share_at_height},
+            post_rotation=rotation,
+            rope=rope,
+        )
 
-    def compute_dense_reward(self, obs: Any, action: torch.Tensor, info: dict) -> torch.Tensor:
-        """Return rewards in [0, 1], (B,); 1 for a closed rope whose ends touch, 0 after a failure.
+    def reward(self, measurement: WrappingMeasurement) -> torch.Tensor:
+        """Return rewards in [0, 1], (B,); 1 for a closed rope whose ends touch.
 
         Ends that come together count as far as the rope winds around the post, and winding as far as it is at the post's height.
         """
-        winding = info["winding"].clamp(max=1.0) * info["share_at_height"]
-        closing = winding.square() * (1.0 - torch.tanh(info["ends_distance"] / self.CLOSING_SCALE))
-        reward = self.WINDING_WEIGHT * winding + self.CLOSING_WEIGHT * closing + self.SUCCESS_WEIGHT * info["success"]
-        return reward * ~info["fail"]
+        metrics = measurement.metrics
+        winding = metrics["winding"].clamp(max=1.0) * metrics["share_at_height"]
+        closing = winding.square() * (1.0 - torch.tanh(metrics["ends_distance"] / self.CLOSING_SCALE))
+        return self.WINDING_WEIGHT * winding + self.CLOSING_WEIGHT * closing + self.SUCCESS_WEIGHT * measurement.success
 
-    def _object_values(self) -> dict[str, torch.Tensor]:
-        return self._post_values(self._rope)
+    def object_values(self, measurement: WrappingMeasurement) -> dict[str, torch.Tensor]:
+        """Return where the post is, seen from the nodes."""
+        return self._post_values(measurement.rope, measurement.post_rotation)
 
-    def _gripper_values(self) -> dict[str, torch.Tensor]:
-        grippers = self.solver.gripper_positions
+    def gripper_values(self, measurement: WrappingMeasurement) -> dict[str, torch.Tensor]:
+        """Return where the post and the other gripper are, seen from the grippers, and how far the rope winds."""
+        grippers, rotation = self.solver.gripper_positions, measurement.post_rotation
         offsets = grippers.flip(1) - grippers
-        return self._post_values(self.in_post_frame(grippers, self._rotation)) | {
+        return self._post_values(self.in_post_frame(grippers, rotation), rotation) | {
             "partner_offset": offsets,
             "partner_distance": torch.linalg.vector_norm(offsets, dim=-1),
-            "winding": self._winding[:, None].expand(-1, 2),
+            "winding": measurement.metrics["winding"][:, None].expand(-1, 2),
         }
 
-    def _post_values(self, local: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the channels of the post at points (B, n, 3) of its frame."""
+    def _post_values(self, local: torch.Tensor, rotation: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the channels of the post at points (B, n, 3) of its frame, whose axes are the columns of (B, 3, 3)."""
         is_shape = self._is_shape[self._shape_of_worlds, :, None].expand(-1, -1, local.shape[1])
         return {
-            "post_axis": self._rotation[:, None, :, 2].expand_as(local),
-            "post_offset": -local[..., :2] @ self._rotation[:, :, :2].mT,
+            "post_axis": rotation[:, None, :, 2].expand_as(local),
+            "post_offset": -local[..., :2] @ rotation[:, :, :2].mT,
             "post_distance": torch.linalg.vector_norm(local[..., :2], dim=-1),
             "post_height": local[..., 2],
         } | {f"post_is_{name}": is_shape[:, index] for index, name in enumerate(POSTS)}
 
-    def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
+    def goal_observations(self) -> dict[str, torch.Tensor]:
+        """Return the pose of the post and its shape."""
         pose = torch.cat([self.solver.collider_positions[:, 0], self.solver.collider_rotations[:, 0]], dim=1)
-        obs = {"post_pose": pose, "post_shape": self._is_shape[self._shape_of_worlds]}
-        if self.obs_mode_struct.use_state:
-            obs["rope_positions"] = self.solver.positions.flatten(1).clone()
-            obs["rope_velocities"] = self.solver.velocities.flatten(1).clone()
-        return obs
-
-    def _drawing(self, world: int) -> Drawing:
-        solver = self.solver
-        return Drawing(
-            object=Tube(self._nodes_of(world, solver.positions), solver.model.radius),
-            solids=collider_solids(solver, world),
-            grippers=solver.gripper_positions[world].cpu().numpy(),
-            closed=solver.closed[world].cpu().numpy(),
-            is_solved=bool(self.evaluate()["success"][world]),
-        )
+        return {"post_pose": pose, "post_shape": self._is_shape[self._shape_of_worlds]}
 
 
 def _check_shapes(shapes: str | Sequence[str]) -> tuple[str, ...]:

@@ -68,8 +68,7 @@ def test_carrying_the_hole_straight_to_the_tip_does_not_solve_it(make_env):
     base = env.unwrapped
 
     def straight():
-        base.evaluate()
-        return ((base.hanging.offset - 0.1 * base.hanger_axis) / 0.03)[:, None].expand(-1, 4, -1).flatten(1)
+        return ((base.measurement.hanging.offset - 0.1 * base.hanger_axis) / 0.03)[:, None].expand(-1, 4, -1).flatten(1)
 
     assert play(env, straight)["success"].float().mean() < 0.3
 

@@ -113,6 +113,46 @@ def test_the_progress_metric_is_in_info(make):
     assert info[progress.name].dtype == torch.float32
 
 
+def test_a_step_measures_once_and_pictures_measure_no_world_for_another(make, monkeypatch):
+    env = make(3, render_mode="rgb_array", human_render_camera_configs={"width": 8, "height": 8})
+    base, calls = env.unwrapped, []
+    measure = base.measure
+    monkeypatch.setattr(base, "measure", lambda: calls.append(1) or measure())
+    for _ in range(2):
+        env.step(None)
+    assert len(calls) == 2
+    env.render()
+    assert len(calls) == 3
+    for _ in range(3):
+        base.measurement, base.drawing(1), base.compute_dense_reward(None, None, {})
+    assert len(calls) == 3
+
+
+def test_the_measurement_is_that_of_the_present_state(make):
+    """After a reset, a restored state and a motion too, not that of the last step."""
+    env = make()
+    base = env.unwrapped
+    state = base.get_state_dict()
+    for change in (
+        lambda: env.step(actions_for(env, 1)[0]),
+        lambda: env.reset(seed=5),
+        lambda: base.set_state_dict(state),
+        lambda: base.set_state(base.get_state().roll(1, dims=0)),
+        lambda: base.move_worlds(*random_motion(3)),
+    ):
+        change()
+        kept, anew = base.measurement.metrics, base.evaluate()
+        for name, value in kept.items():
+            assert torch.equal(value, anew[name]), name
+
+
+def test_states_hold_the_nodes(make):
+    env = make(obs_mode="state")
+    before = env.unwrapped.get_obs()
+    env.unwrapped.solver.positions[:, 3] += 0.25
+    assert ((env.unwrapped.get_obs() - before).abs() > 0.2).sum(dim=1).ge(3).all()
+
+
 def test_reward_modes_agree(make):
     rewards = {}
     for mode in ("normalized_dense", "dense", "sparse", "none"):

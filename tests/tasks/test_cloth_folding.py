@@ -307,7 +307,7 @@ def test_graph_shows_the_crease_and_the_goals_of_what_is_held(make_folding):
 def test_drawings_show_cloth_goal_and_crease(make_folding):
     base = make_folding(3, shapes=("square", "triangle")).unwrapped
     for world in range(3):
-        drawing, model = base._drawing(world), base.models[int(base.solver.variants[world])]
+        drawing, model = base.drawing(world), base.models[int(base.solver.variants[world])]
         assert drawing.object.vertices.shape == (model.num_nodes, 3)
         assert 0 < len(drawing.goal.faces) < len(model.faces)
         # What is shown of the goal ends at the crease.

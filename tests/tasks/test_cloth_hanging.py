@@ -255,7 +255,7 @@ def test_coming_from_beside_the_peg_the_way_leads_round_the_tip(make_env):
     base = make_env(3).unwrapped
     lay_on_peg(base, [0.1, 0.1, 0.0], 0.0, [0.15, 0.3, 0.3])
     base.evaluate()
-    way = base.hanging.way
+    way = base.measurement.hanging.way
     assert way[0] > 0.2
     assert way[2] < way[1]
 
@@ -331,7 +331,7 @@ def test_channels_say_where_hanger_and_hole_are(make_env):
 def test_bars_are_seen_from_their_nearest_point(make_env):
     base = make_env(4, hanger="bar").unwrapped
     base.get_info()
-    offset = base._gripper_values()["hanger_offset"]
+    offset = base.gripper_values(base.measurement)["hanger_offset"]
     target = base.solver.gripper_positions + offset - base.hanger_point[:, None]
     along = (target * base.hanger_axis[:, None]).sum(-1, keepdim=True)
     torch.testing.assert_close(target, along * base.hanger_axis[:, None], atol=1e-5, rtol=0)
@@ -436,7 +436,7 @@ def test_a_peg_does_not_pierce_the_cloth_at_full_speed(make_env):
 def test_drawings_show_the_cloth_of_the_world_and_its_hanger(make_env, options, num_solids):
     base = make_env(8, shapes=("square", "circle"), **options).unwrapped
     for world in range(8):
-        model, drawing = base.models[int(base.solver.variants[world])], base._drawing(world)
+        model, drawing = base.models[int(base.solver.variants[world])], base.drawing(world)
         np.testing.assert_array_equal(drawing.object.vertices, base.solver.positions[world, : model.num_nodes])
         np.testing.assert_array_equal(drawing.object.faces, model.faces)
         assert not drawing.has_table

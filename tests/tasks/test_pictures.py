@@ -302,7 +302,7 @@ def test_both_painters_agree(make_env, renderer):
 def test_both_painters_draw_the_same(make_env, renderer, pictures, changes, monkeypatch):
     env = make_env(1, render_mode="rgb_array", render_backend=renderer)
     drawing = cloth_drawing(**changes)
-    monkeypatch.setattr(env.unwrapped, "_drawing", lambda world: dataclasses.replace(drawing, is_solved=False))
+    monkeypatch.setattr(env.unwrapped, "drawing", lambda world: dataclasses.replace(drawing, is_solved=False))
     ours = pictures(dataclasses.replace(drawing, is_solved=False)).numpy().astype(int)
     theirs = env.render()[0].cpu().numpy().astype(int)
     # Light differs by a little everywhere, by much at edges, in soft shadows and where outlines shine through.
@@ -314,7 +314,7 @@ def test_observations_show_neither_goal_nor_lines(make_env, renderer, monkeypatc
     env = make_env(1, obs_mode="rgb", render_backend=renderer)
     seen = []
     for drawing in (cloth_drawing(), cloth_drawing(goal=None, lines=()), cloth_drawing(solids=())):
-        monkeypatch.setattr(env.unwrapped, "_drawing", lambda world, drawing=drawing: drawing)
+        monkeypatch.setattr(env.unwrapped, "drawing", lambda world, drawing=drawing: drawing)
         seen.append(env.unwrapped.get_obs()["sensor_data"]["base_camera"]["rgb"])
     assert torch.equal(seen[0], seen[1])
     assert not torch.equal(seen[0], seen[2])

@@ -249,7 +249,7 @@ def test_flat_observations_tell_the_pose_and_the_shape_of_the_post(make_env):
 def test_posts_are_drawn_as_the_solids_that_the_rope_touches(make_env, shape):
     base = make_env(2, shapes=shape).unwrapped
     base.move_worlds(rotation_of(1), torch.tensor([0.2, 0.1, -0.4]))
-    solid = base._drawing(1).solids[0]
+    solid = base.drawing(1).solids[0]
     mesh = trimesh.Trimesh(solid.vertices, solid.faces)
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(VOLUMES[shape] * POST_HEIGHT, rel=0.01)  # positive: faces look outward

@@ -73,10 +73,13 @@ class GraphObservation:
             gripper_velocities: (B, A, 3) [m/s].
             object_values: The task's own channels by name: vectors (B, N, 3), scalars (B, N).
             gripper_values: The same for the grippers, (B, A, 3) and (B, A).
+
+        Raises:
+            ValueError: If a declared channel has no values, a value is not that of a declared channel, or one has a wrong shape.
         """
         solver, variants = self._solver, self._solver.variants.long()
         along = self._along[variants]
-        nodes = _stack_channels(solver.positions, self._common_values(variants) | object_values, self.schema.object)
+        nodes = _stack_channels("object", solver.positions, self._common_values(variants), object_values, self.schema.object)
         if self._is_thinned:
             rows = torch.arange(solver.num_worlds, device=solver.device)[:, None]
             nodes = {key: value[rows, self._nodes[variants]] for key, value in nodes.items()}
@@ -87,7 +90,7 @@ class GraphObservation:
             "corner": along.gather(1, start_nodes),
             "gripper_status": solver.closed.float(),
         }
-        grippers = _stack_channels(solver.gripper_positions, common | gripper_values, self.schema.actuator)
+        grippers = _stack_channels("gripper", solver.gripper_positions, common, gripper_values, self.schema.actuator)
         grippers["mask"] = torch.ones_like(solver.closed)
         return {"object": nodes, "actuator": grippers, "gravity": solver.gravity.clone()}
 
@@ -130,10 +133,31 @@ def _node_schema(all_channels: tuple[Channel, ...]) -> NodeSchema:
     )
 
 
-def _stack_channels(positions: torch.Tensor, values: dict[str, torch.Tensor], schema: NodeSchema) -> dict[str, torch.Tensor]:
+def _stack_channels(
+    kind: str, positions: torch.Tensor, common: dict[str, torch.Tensor], own: dict[str, torch.Tensor], schema: NodeSchema
+) -> dict[str, torch.Tensor]:
     """Stack named channels of n nodes in the order of a schema; everything is copied."""
+    values, declared = common | own, (*schema.vectors, *schema.scalars)
+    _check_names(kind, values, own, [channel.name for channel in declared])
+    for channel in declared:
+        shape = positions.shape if channel.kind == "vector" else positions.shape[:2]
+        if values[channel.name].shape != shape:
+            given = tuple(values[channel.name].shape)
+            raise ValueError(f"{kind}_values()[{channel.name!r}] is a {channel.kind} and must be {tuple(shape)}, got {given}")
     return {
         "position": positions.clone(),
-        "vectors": torch.stack([values[channel.name] for channel in schema.vectors], dim=2),
-        "scalars": torch.stack([values[channel.name] for channel in schema.scalars], dim=2),
+        "vectors": _stacked([values[channel.name] for channel in schema.vectors], positions),
+        "scalars": _stacked([values[channel.name] for channel in schema.scalars], positions[..., 0]),
     }
+
+
+def _stacked(values: list[torch.Tensor], like: torch.Tensor) -> torch.Tensor:
+    return torch.stack(values, dim=2) if values else torch.empty_like(like)[:, :, None][:, :, :0]
+
+
+def _check_names(kind: str, values: dict[str, torch.Tensor], own: dict[str, torch.Tensor], declared: list[str]) -> None:
+    missing, unknown = [name for name in declared if name not in values], [name for name in own if name not in declared]
+    if missing:
+        raise ValueError(f"{kind.upper()}_CHANNELS declares {missing}, for which {kind}_values() returns nothing")
+    if unknown:
+        raise ValueError(f"{kind}_values() returns {unknown}, which {kind.upper()}_CHANNELS does not declare: {declared}")

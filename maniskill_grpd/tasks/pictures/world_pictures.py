@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks.pictures import palette
-from maniskill_grpd.tasks.pictures.drawing import Drawing
+from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
 
 FRAME_WIDTH = 0.015
 """Width of the frames of solved worlds in heights of a picture."""
@@ -27,7 +27,7 @@ MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
 
-class WorldPictures(BaseEnv):
+class WorldPictures(MeasuredWorlds):
     """The part of an environment that takes pictures.
 
     SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, numpy
@@ -41,6 +41,9 @@ class WorldPictures(BaseEnv):
     CAMERA_FOV = 0.95
     """Their vertical field of view [rad]."""
 
+    HAS_TABLE = True
+    """Whether there is a table, at z = 0."""
+
     scene: BatchedScene
     solver: Solver
     models: tuple[Model, ...]
@@ -49,17 +52,35 @@ class WorldPictures(BaseEnv):
     _drawn_worlds: range
     """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
 
-    @abstractmethod
-    def _drawing(self, world: int) -> Drawing:
-        """Return what there is to see in a world."""
+    def drawing(self, world: int) -> Drawing:
+        """Return what there is to see in a world: the object, the obstacles and the grippers.
 
-    def _model_of(self, world: int) -> Model:
+        A task adds goals and marks: `replace(super().drawing(world), goal=..., lines=...)`.
+        """
+        solver, model = self.solver, self.model_of(world)
+        points = self.nodes_of(world, solver.positions)
+        return Drawing(
+            object=Tube(points, model.radius) if len(model.faces) == 0 else Sheet(points, model.faces),
+            solids=collider_solids(solver, world),
+            grippers=solver.gripper_positions[world].cpu().numpy(),
+            closed=solver.closed[world].cpu().numpy(),
+            is_solved=bool(self.measurement.success[world]),
+            has_table=self.HAS_TABLE,
+        )
+
+    def _checked_drawing(self, world: int) -> Drawing:
+        drawing = self.drawing(world)
+        if not isinstance(drawing, Drawing):
+            raise TypeError(f"{type(self).__name__}.drawing() must return a Drawing, got {type(drawing).__name__}")
+        return drawing
+
+    def model_of(self, world: int) -> Model:
         """Return the variant that a world holds."""
         return self.models[int(self.solver.variants[world])]
 
-    def _nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
+    def nodes_of(self, world: int, values: torch.Tensor) -> np.ndarray:
         """Return what a world's nodes have of values (B, N, ...), without the padding, (n, ...)."""
-        return values[world, : self._model_of(world).num_nodes].cpu().numpy()
+        return values[world, : self.model_of(world).num_nodes].cpu().numpy()
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
@@ -96,7 +117,8 @@ class WorldPictures(BaseEnv):
 
     def render_human(self) -> Any:
         """Show the first world in SAPIEN's viewer."""
-        self._painter.show(self._drawing(0))
+        self.evaluate()
+        self._painter.show(self._checked_drawing(0))
         return super().render_human()
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
@@ -110,7 +132,7 @@ class WorldPictures(BaseEnv):
     def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
         images = []
         for world in self._drawn_worlds:
-            self._painter.show(self._drawing(world), hide_goal=True)
+            self._painter.show(self._checked_drawing(world), hide_goal=True)
             images.append(super()._get_obs_sensor_data(apply_texture_transforms))
         return {
             camera: {name: torch.cat([image[camera][name] for image in images]) for name in textures}
@@ -119,11 +141,12 @@ class WorldPictures(BaseEnv):
 
     def _picture_worlds(self, take_picture: Callable[[], torch.Tensor], *, has_frames: bool = False) -> torch.Tensor:
         """Take a picture (1, H, W, 3) or (H, W, 3) of each world, and stack them."""
+        self.evaluate()  # whoever asks for pictures may have written into the worlds
         pictures = []
         try:
             for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
                 self._drawn_worlds = range(world, world + 1)
-                drawing = self._drawing(world)
+                drawing = self._checked_drawing(world)
                 self._painter.show(drawing)
                 picture = take_picture()
                 picture = picture if picture.ndim == 4 else picture[None]

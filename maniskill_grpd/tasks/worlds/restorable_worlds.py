@@ -7,17 +7,17 @@ from typing import Any
 
 import torch
 from mani_skill.agents.multi_agent import MultiAgent
-from mani_skill.envs.sapien_env import BaseEnv
 
 from maniskill_grpd.agents import FloatingGrippers
 from maniskill_grpd.physics import Solver
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors
+from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
 from maniskill_grpd.tasks.worlds.rigid_motion import move_solver
 from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
 
 
-class RestorableWorlds(BaseEnv):
+class RestorableWorlds(MeasuredWorlds):
     """The part of an environment that knows everything on which the future of its worlds depends.
 
     ManiSkill's own methods forget custom groups of a flat state and the targets of controllers.
@@ -74,6 +74,7 @@ class RestorableWorlds(BaseEnv):
             agent.robot.set_state(state["articulations"][agent.robot.name], worlds)
         self.start_nodes[worlds] = state["episode"]["start_nodes"].long()
         self._episode.set_state(state["episode"], worlds)
+        self.forget_measurement()
 
     def move_worlds(self, rotation: torch.Tensor, translation: torch.Tensor) -> None:
         """Move all worlds rigidly until their next reset, x -> R x + t: the same episodes, seen from elsewhere.
@@ -92,3 +93,4 @@ class RestorableWorlds(BaseEnv):
         for agent in self._agents:
             velocities = agent.robot.qvel.unflatten(1, (-1, 3))
             agent.robot.qvel.copy_((velocities @ rotation.mT).flatten(1))
+        self.forget_measurement()
