@@ -3,8 +3,8 @@
 from maniskill_grpd.tasks.cloth_folding import ClothFoldingEnv
 from maniskill_grpd.tasks.cloth_hanging import ClothHangingEnv
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES
-from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES, register_cloth_shape
+from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve, register_goal_shape
 from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
@@ -28,4 +28,6 @@ __all__ = [
     "Tube",
     "channels",
     "goal_curve",
+    "register_cloth_shape",
+    "register_goal_shape",
 ]

@@ -173,7 +173,7 @@ class ClothFoldingEnv(DeformableEnv):
                 "grippers on the resting half would pin down what has to stay by itself"
             )
         self.resolutions = None if resolution is None else check_resolutions(resolution, *RESOLUTIONS)
-        self.shapes = check_cloth_shapes(shapes)
+        self.shapes = check_cloth_shapes(shapes, CLOTH_AREA)
         super().__init__(num_grippers=num_grippers, **settings)
 
     # ------------------------------------------------------------------ episode

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +15,12 @@ from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, cloth
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.bar_hanger import BarHanger
-from maniskill_grpd.tasks.geometry.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
+from maniskill_grpd.tasks.geometry.cloth_seat import check_middle, hole_outline, ring_about_middle, spread_corners
 from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
+from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape
 from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
@@ -139,9 +140,10 @@ class ClothHangingEnv(DeformableEnv):
         *,
         hanger: str = "peg",
         release: bool = False,
-        shapes: str | Sequence[str] = "square",
+        shapes: GivenShape | Iterable[GivenShape] = "square",
         resolution: int | Sequence[int] = 100,
         hole_radius: float | None = None,
+        hole_center: Sequence[float] | None = None,
         **settings: Any,
     ) -> None:
         """Set up the task.
@@ -149,10 +151,13 @@ class ClothHangingEnv(DeformableEnv):
         Args:
             hanger: "peg" or "bar".
             release: Whether the grippers must let the cloth go; then `grasp` is "free" by default.
-            shapes: Names of the cloth's outline, see `CLOTH_SHAPES`; of several, each episode draws one.
+            shapes: The cloth's outline, a name ("square" by default, "rectangle", "triangle", "hexagon", "circle", "l_shape", or
+                one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size; of several, each episode draws one.
             resolution: Number of nodes of the cloth, 49 to 1225, that of its mesh is about as large; of several, each episode
                 draws one.
             hole_radius: Radius of the hole for a peg, 0.03 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.
+            hole_center: Centre of the hole in the coordinates of the outline, (2,) [m]; by default the point that is farthest
+                from the outline.
             settings: Options of `DeformableEnv`; `num_grippers` is 3 or 4 (default).
 
         Raises:
@@ -160,20 +165,19 @@ class ClothHangingEnv(DeformableEnv):
         """
         if hanger not in ("peg", "bar"):
             raise ValueError(f"hanger must be one of ['peg', 'bar'], got {hanger!r}")
-        if hanger == "bar" and hole_radius is not None:
-            raise ValueError(f"a cloth that is draped over a bar has no hole, got hole_radius={hole_radius}")
+        if hanger == "bar" and not (hole_radius is None and hole_center is None):
+            given = f"hole_radius={hole_radius}, hole_center={hole_center}"
+            raise ValueError(f"a cloth that is draped over a bar has no hole, got {given}")
         if settings.get("num_grippers") in (1, 2):
             raise ValueError(
                 "num_grippers must be 3 or 4: two hands cannot turn a cloth about the line between them, "
                 f"got {settings['num_grippers']}"
             )
-        self.shapes = check_cloth_shapes(shapes)
+        self.shapes = check_cloth_shapes(shapes, CLOTH_AREA)
         self.resolutions = check_resolutions(resolution, *RESOLUTIONS)
         self.release = release
         self.hole_radius = None if hanger == "bar" else HOLE_RADIUS if hole_radius is None else hole_radius
-        if self.hole_radius is not None:
-            for name in self.shapes:
-                check_hole(name, CLOTH_AREA, self.hole_radius)
+        self._holes = [self._cut_hole(shape, hole_center) for shape in self.shapes]
         self._hanger: Hanger = BarHanger() if self.hole_radius is None else PegHanger(self.hole_radius, self.TILT_RANGE[release])
         super().__init__(**(_with_free_grasp(settings) if release else settings))
 
@@ -182,11 +186,17 @@ class ClothHangingEnv(DeformableEnv):
     def build_models(self) -> list[Model]:
         """Build a cloth of each shape and resolution, with a hole for a peg."""
         models = []
-        for name in self.shapes:
-            holes = [] if self.hole_radius is None else [hole_outline(name, CLOTH_AREA, self.hole_radius)]
-            outline = cloth_outline(name, CLOTH_AREA)
+        for shape, holes in zip(self.shapes, self._holes, strict=True):
+            outline = cloth_outline(shape, CLOTH_AREA)
             models += [cloth(outline, holes, num_nodes=num) for num in self.resolutions]
         return models
+
+    def _cut_hole(self, shape: Shape, center: Sequence[float] | None) -> list[np.ndarray]:
+        """Return the hole of a cloth for a peg; a cloth for a bar has none, but its middle must be within it."""
+        if self.hole_radius is None:
+            check_middle(shape, CLOTH_AREA)
+            return []
+        return [hole_outline(shape, CLOTH_AREA, self.hole_radius, center)]
 
     def build_colliders(self) -> Sequence[Collider]:
         """Build the hanger."""

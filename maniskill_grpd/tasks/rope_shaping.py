@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.physics import Model, rope
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.goal_shapes import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks.geometry.shape_registry import GivenShape
 from maniskill_grpd.tasks.measurement import GoalMeasurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import max_over_nodes, mean_over_nodes
@@ -98,8 +99,8 @@ class RopeShapingEnv(DeformableEnv):
         self,
         *,
         resolution: int | Sequence[int] = 41,
-        goal_shape: str = "W",
-        shapes: Sequence[str] | None = None,
+        goal_shape: GivenShape = "W",
+        shapes: Iterable[GivenShape] | None = None,
         graph_nodes: int | None = GRAPH_NODES,
         **settings: Any,
     ) -> None:
@@ -107,8 +108,9 @@ class RopeShapingEnv(DeformableEnv):
 
         Args:
             resolution: Number of nodes of the rope, 20 to 200; of several, each episode draws one.
-            goal_shape: Name of the goal shape.
-            shapes: Several names, from which each episode draws one; instead of `goal_shape`.
+            goal_shape: The goal, a name ("W" by default, "V", "U", "S", "L", "O", "spiral", or one of
+                `register_goal_shape`) or an open curve (P, 2), which is scaled to the rope's length.
+            shapes: Several of these, from which each episode draws one; instead of `goal_shape`.
             graph_nodes: Number of nodes in the graph, 21 by default and None for all. Policies that
                 see every other node of the default rope learn in less time and no worse
                 (docs/results/rope_shaping.md).
@@ -118,7 +120,7 @@ class RopeShapingEnv(DeformableEnv):
             ValueError: If an option has a value that is not allowed; says which are.
         """
         self.resolutions = check_resolutions(resolution, *RESOLUTIONS)
-        self.shapes = _check_shapes([goal_shape] if shapes is None else shapes)
+        self.shapes = GOAL_SHAPES.parse(*((goal_shape, "goal_shape") if shapes is None else (shapes, "shapes")))
         if graph_nodes == GRAPH_NODES:
             graph_nodes = min(graph_nodes, *self.resolutions)  # the default suits shorter ropes too
         super().__init__(graph_nodes=graph_nodes, **settings)
@@ -139,7 +141,7 @@ class RopeShapingEnv(DeformableEnv):
         """Create the goals, and tables of ropes and goal curves."""
         self.goal_positions = self.episode_tensor("goal_positions", self.solver.num_nodes, 3, kind="position")
         curves = [
-            np.stack([goal_curve(name, model.length, model.num_nodes) for name in self.shapes], axis=1) for model in self.models
+            np.stack([goal_curve(shape, model.length, model.num_nodes) for shape in self.shapes], axis=1) for model in self.models
         ]
         self._straight = self.node_table([model.rest_positions[:, :2] for model in self.models])
         self._goal_curves = self.node_table(curves).transpose(1, 2)
@@ -200,11 +202,3 @@ class RopeShapingEnv(DeformableEnv):
         """Return the world with the goal curve."""
         goal = Tube(self.nodes_of(world, self.goal_positions), self.solver.model.radius)
         return replace(super().drawing(world), goal=goal)
-
-
-def _check_shapes(shapes: Sequence[str]) -> tuple[str, ...]:
-    names = (shapes,) if isinstance(shapes, str) else tuple(shapes)
-    unknown = [name for name in names if name not in GOAL_SHAPES]
-    if unknown or not names:
-        raise ValueError(f"goal shapes must be among {', '.join(GOAL_SHAPES)}, got {list(names)}")
-    return names

@@ -5,7 +5,7 @@ import pytest
 
 from maniskill_grpd.physics import circle_outline, cloth, hexagon_outline, rectangle_outline, square_outline, triangle_outline
 from maniskill_grpd.physics.mesh.outlines import distance_to
-from maniskill_grpd.tasks.geometry.cloth_seat import check_hole, hole_outline, ring_about_middle, spread_corners
+from maniskill_grpd.tasks.geometry.cloth_seat import check_middle, hole_outline, ring_about_middle, spread_corners
 from maniskill_grpd.tasks.geometry.cloth_shapes import CLOTH_SHAPES, cloth_outline
 
 INNER_RADII = {  # of outlines of 1 m^2
@@ -30,13 +30,33 @@ def test_holes_are_where_the_cloth_is_widest(name):
 
 
 def test_holes_that_do_not_fit_are_refused_with_the_largest_that_does():
-    check_hole("square", 0.16, 0.1)
+    hole_outline("square", 0.16, 0.1)
     with pytest.raises(ValueError, match=r"must be in \[0.03, 0.1\] m.*got 0.5"):
-        check_hole("square", 0.16, 0.5)
+        hole_outline("square", 0.16, 0.5)
     with pytest.raises(ValueError, match=r"so that a peg passes.*got 0.01"):
-        check_hole("square", 0.16, 0.01)
+        hole_outline("square", 0.16, 0.01)
     with pytest.raises(ValueError, match=r"at most 0\.05\d m in a square of 0.03 m\^2, got 0.08"):
-        check_hole("square", 0.03, 0.08)
+        hole_outline("square", 0.03, 0.08)
+
+
+def test_a_hole_is_where_it_is_asked_for_in_the_coordinates_of_the_outline():
+    np.testing.assert_allclose(hole_outline("square", 0.16, 0.06, (0.05, -0.1)).mean(axis=0), [0.05, -0.1], atol=1e-12)
+    corner_at_origin = tuple(map(tuple, square_outline(0.4) + 0.2))
+    np.testing.assert_allclose(hole_outline(corner_at_origin, 0.16, 0.06, (0.25, 0.1)).mean(axis=0), [0.05, -0.1], atol=1e-12)
+    for outside in ((0.15, 0.0), (0.3, 0.0)):
+        with pytest.raises(ValueError, match=r"hole_center must be hole_radius \+ 0.03 m = 0.09 m or more inside.*a square, got"):
+            hole_outline("square", 0.16, 0.06, outside)
+    for wrong in ((1, 2, 3), 0.1, "ab", [[0, 0], [1]], (np.nan, 0.0)):
+        with pytest.raises(ValueError, match="hole_center must be"):
+            hole_outline("square", 0.16, 0.06, wrong)
+
+
+def test_a_cloth_whose_middle_is_not_in_it_cannot_lie_on_a_bar():
+    for name in CLOTH_SHAPES:
+        check_middle(name, 0.16)
+    u_shape = ((0.0, 0.0), (0.4, 0.0), (0.4, 0.4), (0.3, 0.4), (0.3, 0.08), (0.1, 0.08), (0.1, 0.4), (0.0, 0.4))
+    with pytest.raises(ValueError, match="0.05 m or more inside its outline, got 0 m for the polygon of 8 points"):
+        check_middle(u_shape, 0.16)
 
 
 @pytest.mark.parametrize(

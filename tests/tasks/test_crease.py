@@ -21,7 +21,7 @@ from maniskill_grpd.tasks.geometry.crease import (
     signed_distances,
 )
 
-shapes = st.sampled_from(CLOTH_SHAPES)
+shapes = st.sampled_from(list(CLOTH_SHAPES))
 angles = st.floats(-np.pi, np.pi)
 
 

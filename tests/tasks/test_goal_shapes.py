@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from maniskill_grpd.tasks import GOAL_SHAPES, goal_curve
+from maniskill_grpd.tasks import GOAL_SHAPES, goal_curve, register_goal_shape
 
 LENGTH = 0.8
 
@@ -45,5 +45,40 @@ def test_w_has_four_equal_strokes_at_55_degrees_from_its_base_line():
 
 
 def test_unknown_shape_is_refused_with_the_allowed_ones():
-    with pytest.raises(ValueError, match="unknown goal shape 'X'; allowed are W, V, U, S, L, O, spiral"):
+    with pytest.raises(ValueError, match=r"goal shapes must be among W, V, U, S, L, O, spiral, or curves.*got 'X'"):
         goal_curve("X", LENGTH, 41)
+
+
+ZIGZAG = ((0.0, 0.0), (1.0, 1.0), (2.0, 0.0), (3.0, 1.0))
+
+
+def test_an_own_curve_is_scaled_to_the_rope_whatever_its_size():
+    curve = goal_curve(ZIGZAG, LENGTH, 41)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(curve, axis=0), axis=1), LENGTH / 40, rtol=1e-5)
+    np.testing.assert_allclose(goal_curve(0.01 * np.array(ZIGZAG), LENGTH, 41), curve, atol=1e-9)
+    turns = np.diff(np.unwrap(np.arctan2(*np.diff(curve, axis=0).T[::-1])))
+    assert np.degrees(turns.sum()) == pytest.approx(0.0, abs=1.0)
+    assert np.degrees(np.abs(turns).sum()) == pytest.approx(180.0, abs=1.0)  # a quarter turn at each of the two corners
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ([[0.0, 0.0], [0.0, 0.0]], "a curve .P >= 2, 2. that has a length, got 2 points with a way of 0 m"),
+        ([[0.0, 0.0]], "has a length, got 1 points"),
+        (np.zeros((5, 3)), r"shape \(5, 3\)"),
+        ([[0.0, 0.0], [np.nan, 1.0]], "finite"),
+        ([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]], "turns back on itself within a segment"),
+    ],
+)
+def test_curves_that_are_none_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        goal_curve(given, LENGTH, 40)
+
+
+def test_a_curve_is_registered_once(monkeypatch):
+    monkeypatch.setattr(GOAL_SHAPES, "_shapes", dict(GOAL_SHAPES))
+    register_goal_shape("zigzag", lambda: ZIGZAG)
+    np.testing.assert_array_equal(goal_curve("zigzag", LENGTH, 41), goal_curve(ZIGZAG, LENGTH, 41))
+    with pytest.raises(ValueError, match="already one of the goal shapes with the name 'zigzag'"):
+        register_goal_shape("zigzag", ZIGZAG)

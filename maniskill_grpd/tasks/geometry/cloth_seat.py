@@ -7,8 +7,9 @@ from itertools import combinations
 import numpy as np
 
 from maniskill_grpd.physics import Model, circle_outline
-from maniskill_grpd.physics.mesh.outlines import contains, distance_to
-from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline
+from maniskill_grpd.physics.mesh.outlines import as_points, centroid, contains, distance_to, signed_area
+from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline, in_cloth_frame
+from maniskill_grpd.tasks.geometry.shape_registry import Shape, shape_label
 
 HOLE_RADII = (0.03, 0.1)
 """Smallest and largest radius of a hole [m]."""
@@ -20,26 +21,47 @@ SEARCH_STEP = 0.0025
 """Spacing at which a cloth is searched for its roomiest point [m]."""
 
 
-def check_hole(name: str, area: float, radius: float) -> None:
-    """Raise ValueError unless a round hole fits a cloth of a shape and an area [m^2].
+def hole_outline(shape: Shape, area: float, radius: float, center: np.ndarray | None = None) -> np.ndarray:
+    """Return a round hole in a cloth, (P, 2) [m], in the coordinates of `cloth_outline`.
 
     Args:
-        name: One of `CLOTH_SHAPES`.
-        area: Area of the outline [m^2].
+        shape: One of `CLOTH_SHAPES`, or a polygon (P, 2) [m].
+        area: Area of the outline of a shape with a name [m^2].
         radius: Radius of the hole [m].
+        center: Its centre in the coordinates of the shape, (2,) [m]; by default the point that is farthest from the outline.
+
+    Raises:
+        ValueError: If the hole has a wrong radius or does not leave enough cloth around.
     """
     low, high = HOLE_RADII
     if not low <= radius <= high:
         raise ValueError(f"hole_radius must be in [{low}, {high}] m, so that a peg passes and its plate does not, got {radius}")
-    room = _roomiest_point(cloth_outline(name, area))[1] - SMALLEST_RIM
-    if radius > room:
-        raise ValueError(f"hole_radius must be at most {room:.3f} m in a {name} of {area} m^2, got {radius}")
+    outline, name = cloth_outline(shape, area), shape_label(shape)
+    point, room = _roomiest_point(outline)
+    if radius > room - SMALLEST_RIM:
+        size = f"{signed_area(outline):.3g} m^2"
+        raise ValueError(f"hole_radius must be at most {room - SMALLEST_RIM:.3f} m in a {name} of {size}, got {radius}")
+    if center is not None:
+        point = in_cloth_frame(shape, as_points([center], "hole_center", "two coordinates [m]"))[0]
+        room = float(distance_to(outline, point[None])[0]) if contains(outline, point[None])[0] else 0.0
+        if radius > room - SMALLEST_RIM:
+            raise ValueError(
+                f"hole_center must be hole_radius + {SMALLEST_RIM} m = {radius + SMALLEST_RIM:.3g} m or more inside the "
+                f"outline of a {name}, got {np.asarray(center).tolist()}, {room:.3g} m inside"
+            )
+    return circle_outline(radius, center=tuple(point))
 
 
-def hole_outline(name: str, area: float, radius: float) -> np.ndarray:
-    """Return a round hole about the point of a cloth that is farthest from its outline, (P, 2) [m]."""
-    centre, _ = _roomiest_point(cloth_outline(name, area))
-    return circle_outline(radius, center=tuple(centre))
+def check_middle(shape: Shape, area: float) -> None:
+    """Raise ValueError unless the middle of a cloth, which comes onto a bar, is within the cloth."""
+    outline = cloth_outline(shape, area)
+    middle = centroid(outline)[None]
+    room = float(distance_to(outline, middle)[0]) if contains(outline, middle)[0] else 0.0
+    if room < RING_RADIUS:
+        raise ValueError(
+            f"the centre of mass of a cloth that is draped over a bar must be {RING_RADIUS} m or more inside its outline, got "
+            f"{room:.3g} m for the {shape_label(shape)}"
+        )
 
 
 def ring_about_middle(model: Model) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""Shapes of cloth that tasks offer by name, and their resolutions."""
+"""Shapes of cloth that tasks offer by name or take as polygons, and their resolutions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -14,49 +14,91 @@ from maniskill_grpd.physics import (
     square_outline,
     triangle_outline,
 )
+from maniskill_grpd.physics.mesh.outlines import centroid, check_polygon, signed_area
+from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape, ShapeRegistry, shape_label
 
 RESOLUTIONS = (49, 1225)
 """Smallest and largest number of nodes of a cloth."""
+REACHES = (0.05, 0.36)
+"""Smallest and largest distance of the farthest point of an outline from its centroid [m]: below, the nodes are as near to each
+other as the cloth is thick; above, it may lie over a hanger when an episode starts."""
 
-# Outlines of area 1 m^2.
-_UNIT_OUTLINES: dict[str, Callable[[], np.ndarray]] = {
-    "square": lambda: square_outline(1.0),
-    "rectangle": lambda: rectangle_outline(np.sqrt(1.5), np.sqrt(2.0 / 3.0)),
-    "triangle": lambda: triangle_outline(2.0 / 3.0**0.25),
-    "hexagon": lambda: hexagon_outline(np.sqrt(2.0) / 27.0**0.25),
-    "circle": lambda: circle_outline(1.0 / np.sqrt(np.pi)),
-    "l_shape": lambda: l_shape_outline(2.0 / np.sqrt(3.0)),
-}
-CLOTH_SHAPES = tuple(_UNIT_OUTLINES)
-"""Names of all shapes."""
+CLOTH_SHAPES = ShapeRegistry("shapes of cloth", "polygons (P >= 3, 2) [m]", check_polygon)
+"""Outlines of 1 m^2 by the names of all shapes."""
+for _name, _outline in {
+    "square": square_outline(1.0),
+    "rectangle": rectangle_outline(np.sqrt(1.5), np.sqrt(2.0 / 3.0)),
+    "triangle": triangle_outline(2.0 / 3.0**0.25),
+    "hexagon": hexagon_outline(np.sqrt(2.0) / 27.0**0.25),
+    "circle": circle_outline(1.0 / np.sqrt(np.pi)),
+    "l_shape": l_shape_outline(2.0 / np.sqrt(3.0)),
+}.items():
+    CLOTH_SHAPES.register(_name, _outline)
 
 
-def cloth_outline(name: str, area: float) -> np.ndarray:
-    """Return the outline of a cloth by its name.
+def register_cloth_shape(name: str, outline: GivenShape | Callable[[], GivenShape]) -> None:
+    """Offer a shape of cloth by a name, as in `gym.make("ClothFolding-v1", shapes=["star"])`.
 
-    All shapes of one area have the same mass. A rectangle is 3 : 2, the arms of an L are half as wide as long, a triangle and a
-    hexagon are regular.
+    Tasks scale it to the area of their cloth, as they do with all shapes that have names, and put its centroid at the origin.
 
     Args:
-        name: One of `CLOTH_SHAPES`.
-        area: Area enclosed [m^2].
+        name: A new name.
+        outline: Polygon, (P >= 3, 2) of any size, in either direction; or a function without arguments that returns one.
+
+    Raises:
+        ValueError: If the name is taken, or the outline is not finite, has no area, or touches or crosses itself.
+    """
+
+    def of_unit_area() -> np.ndarray:
+        polygon = check_polygon(outline() if callable(outline) else outline, f"the shape {name!r}")
+        return (polygon - centroid(polygon)) / np.sqrt(signed_area(polygon))
+
+    CLOTH_SHAPES.register(name, of_unit_area)
+
+
+def cloth_outline(shape: Shape, area: float) -> np.ndarray:
+    """Return the outline of a cloth.
+
+    All named shapes of one area have the same mass. A rectangle is 3 : 2, the arms of an L are half as wide as long, a triangle
+    and a hexagon are regular. A polygon keeps its own size; its centroid comes to lie at the origin.
+
+    Args:
+        shape: One of `CLOTH_SHAPES`, or a polygon (P, 2) [m].
+        area: Area enclosed by a shape with a name [m^2].
 
     Returns:
         Closed polygon about the origin, counter-clockwise, (P, 2) float64 [m].
 
     Raises:
-        ValueError: If there is no shape of that name.
+        ValueError: If there is no shape of that name, or the polygon is none.
     """
-    return np.sqrt(area) * _UNIT_OUTLINES[check_cloth_shapes(name)[0]]()
+    points = CLOTH_SHAPES.points(shape)
+    return np.sqrt(area) * points if isinstance(shape, str) else points - centroid(points)
 
 
-def check_cloth_shapes(shapes: str | Sequence[str]) -> tuple[str, ...]:
-    """Return one or several names of shapes as a tuple.
+def in_cloth_frame(shape: Shape, points: np.ndarray) -> np.ndarray:
+    """Return points (Q, 2) [m] that are given in the coordinates of a shape in those of `cloth_outline`, (Q, 2) [m]."""
+    return points if isinstance(shape, str) else points - centroid(np.array(shape))
+
+
+def check_cloth_shapes(shapes: GivenShape | Iterable[GivenShape], area: float) -> tuple[Shape, ...]:
+    """Return the shapes that the option `shapes` of a task gives as a tuple.
+
+    Args:
+        shapes: A name, a polygon (P, 2) [m], or several of both.
+        area: Area enclosed by shapes with names [m^2].
 
     Raises:
-        ValueError: If there is none, or one is not in `CLOTH_SHAPES`.
+        ValueError: If there is none, a name is not in `CLOTH_SHAPES`, or a polygon is none or of a wrong size; says why.
     """
-    names = (shapes,) if isinstance(shapes, str) else tuple(shapes)
-    if not names or any(name not in CLOTH_SHAPES for name in names):
-        raise ValueError(f"shapes of cloth must be among {', '.join(CLOTH_SHAPES)}, got {list(names)}")
-    return names
+    parsed = CLOTH_SHAPES.parse(shapes, "shapes")
+    smallest, largest = REACHES
+    for shape in parsed:
+        outline = cloth_outline(shape, area)
+        reach = np.linalg.norm(outline - centroid(outline), axis=1).max()
+        if not smallest <= reach <= largest:
+            raise ValueError(
+                f"the farthest point of a cloth must be {smallest} to {largest} m from its centroid, got {reach:.3g} m for the "
+                f"{shape_label(shape)}; coordinates are in metres"
+            )
+    return parsed

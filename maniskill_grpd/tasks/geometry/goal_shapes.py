@@ -1,10 +1,16 @@
-"""Planar curves that a rope can be asked to take."""
+"""Planar curves that a rope can be asked to take, by name or as points."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from maniskill_grpd.physics import resample_polyline
+from maniskill_grpd.physics.mesh.curves import polyline_length
+from maniskill_grpd.physics.mesh.outlines import as_points
+from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape, ShapeRegistry
 
 W_STROKE_ANGLE = np.deg2rad(55.0)
 """Angle between the strokes of the W and its base line."""
@@ -12,16 +18,18 @@ POINTS_PER_SEGMENT = 64
 """Points of the fine polyline per segment of the goal curve; corners are cut by below 2 %."""
 CHORD_ITERATIONS = 100
 """Far more than needed: the spread of the chords shrinks by half or better in each iteration."""
+CHORD_TOLERANCE = 1e-3
+"""Largest relative difference of the chords of a curve that a rope can take."""
 
 
-def goal_curve(name: str, length: float, num_nodes: int) -> np.ndarray:
-    """Return where the nodes of a rope lie when it has the shape `name`.
+def goal_curve(shape: Shape, length: float, num_nodes: int) -> np.ndarray:
+    """Return where the nodes of a rope lie when it has a shape.
 
     Neighbouring nodes are exactly one rope segment apart, also across corners, so that an
-    unstretched rope fits the curve.
+    unstretched rope fits the curve. Whatever its size, a curve is scaled to the rope.
 
     Args:
-        name: One of `GOAL_SHAPES`.
+        shape: One of `GOAL_SHAPES`, or a curve, (P >= 2, 2).
         length: Length of the rope [m].
         num_nodes: Number of nodes N of the rope.
 
@@ -30,15 +38,40 @@ def goal_curve(name: str, length: float, num_nodes: int) -> np.ndarray:
         origin.
 
     Raises:
-        ValueError: If there is no shape of that name.
+        ValueError: If there is no shape of that name, the curve is none, or it turns back on itself
+            within a segment of the rope.
     """
-    if name not in _OUTLINES:
-        raise ValueError(f"unknown goal shape {name!r}; allowed are {', '.join(GOAL_SHAPES)}")
-    outline = resample_polyline(_OUTLINES[name](), POINTS_PER_SEGMENT * (num_nodes - 1) + 1)
+    outline = resample_polyline(GOAL_SHAPES.points(shape), POINTS_PER_SEGMENT * (num_nodes - 1) + 1)
     points = _with_equal_chords(outline, num_nodes)
-    chord = np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
-    points *= length / (num_nodes - 1) / chord
+    chords = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if np.ptp(chords) > CHORD_TOLERANCE * chords.mean():
+        raise ValueError(
+            f"a rope of {num_nodes} nodes cannot take this curve: it turns back on itself within a segment, so that the way "
+            f"between neighbouring nodes is {chords.min() / chords.mean():.2f} to {chords.max() / chords.mean():.2f} segments"
+        )
+    points *= length / (num_nodes - 1) / chords.mean()
     return points - points.mean(axis=0)
+
+
+def register_goal_shape(name: str, curve: GivenShape | Callable[[], GivenShape]) -> None:
+    """Offer a goal shape by a name, as in `gym.make("RopeShaping-v1", goal_shape="zigzag")`.
+
+    Args:
+        name: A new name.
+        curve: Open curve from the rope's first node to its last, (P >= 2, 2) of any size; or a function
+            without arguments that returns one.
+
+    Raises:
+        ValueError: If the name is taken, or the curve is not finite or has no length.
+    """
+    GOAL_SHAPES.register(name, curve)
+
+
+def _check_curve(points: Any, name: str) -> np.ndarray:
+    curve = as_points(points, name, "a curve (P >= 2, 2)")
+    if len(curve) < 2 or polyline_length(curve) == 0.0:
+        raise ValueError(f"{name} must be a curve (P >= 2, 2) that has a length, got {len(curve)} points with a way of 0 m")
+    return curve
 
 
 def _with_equal_chords(outline: np.ndarray, num: int) -> np.ndarray:
@@ -95,7 +128,9 @@ def _arc(centre: tuple[float, float], start: float, end: float) -> np.ndarray:
     return np.asarray(centre) + np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
-_OUTLINES = {
+GOAL_SHAPES = ShapeRegistry("goal shapes", "curves (P >= 2, 2) [m]", _check_curve)
+"""Curves by the names of all shapes."""
+for _name, _curve in {
     "W": _outline_w,
     "V": _outline_v,
     "U": _outline_u,
@@ -103,6 +138,5 @@ _OUTLINES = {
     "L": _outline_l,
     "O": _outline_o,
     "spiral": _outline_spiral,
-}
-GOAL_SHAPES = tuple(_OUTLINES)
-"""Names of all shapes."""
+}.items():
+    GOAL_SHAPES.register(_name, _curve)
