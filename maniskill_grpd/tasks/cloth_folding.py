@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
@@ -63,7 +64,7 @@ MOVING_SHARES = (0.25, 0.5)
 
 
 @register_env("ClothFolding-v1", max_episode_steps=100)
-class ClothFoldingEnv(DeformableEnv):
+class ClothFoldingEnv(DeformableEnv, BaseEnv):
     """
     **Task Description:**
     A cloth of 0.0576 m^2 (a square of 0.24 m by default) and 6 mm thickness lies flat on a table and must be folded along a given

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
@@ -47,7 +48,7 @@ class HangingMeasurement(Measurement):
 
 
 @register_env("ClothHanging-v1", max_episode_steps=100)
-class ClothHangingEnv(DeformableEnv):
+class ClothHangingEnv(DeformableEnv, BaseEnv):
     """
     **Task Description:**
     Four floating grippers (optionally three) hold a cloth by its corners in the air and must bring

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import sapien
 import torch
@@ -128,18 +129,19 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         self._compute_device = choose_compute_device(sim_backend)
         self._render_device_name = choose_render_device(render_backend, render_mode, base_mode)
         self._drawn_worlds = range(num_envs)
-        super().__init__(
-            num_envs=num_envs,
-            obs_mode=base_mode,
-            render_mode=render_mode,
-            robot_uids=team,
-            control_mode=control_mode,
-            # Both are replaced in `backend`. PhysX stays empty, and on the CPU so as not to take
-            # GPU memory.
-            sim_backend="physx_cpu",
-            render_backend="none",
-            **settings,
-        )
+        with torch.inference_mode(False):  # whoever makes an environment in that mode may use it outside
+            super().__init__(
+                num_envs=num_envs,
+                obs_mode=base_mode,
+                render_mode=render_mode,
+                robot_uids=team,
+                control_mode=control_mode,
+                # Both are replaced in `backend`. PhysX stays empty, and on the CPU so as not to take
+                # GPU memory.
+                sim_backend="physx_cpu",
+                render_backend="none",
+                **settings,
+            )
         if render_mode in ("sensors", "all") and not needs_camera(base_mode):
             self.obs_mode_struct.visual.rgb = True  # what ManiSkill's pictures of sensors show
 
@@ -214,6 +216,10 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
             self.device = self.backend.device = self._compute_device
             self._elapsed_steps = self._elapsed_steps.to(self.device)
 
+    def _reconfigure(self, options: dict) -> None:
+        with torch.inference_mode(False):
+            super()._reconfigure(options)
+
     def _setup_scene(self) -> None:
         if self._sim_steps_per_control != 1:
             raise ValueError(
@@ -273,17 +279,25 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         Args:
             seed: One seed for each world being reset; one number seeds the first, the others follow
                 from it. None goes on with the random numbers of each world.
-            options: As ManiSkill's `BaseEnv.reset` understands them.
+            options: As ManiSkill's `BaseEnv.reset` understands them. `env_idx` is indices (b,) or a mask (B,) of worlds; if it
+                names none, nothing happens.
 
         Raises:
-            ValueError: If the number of seeds fits neither.
+            ValueError: If a seed is no whole number, their number fits neither, or there is no such world.
         """
-        self._adopt_compute_device()
         worlds = None if options is None else options.get("env_idx")
-        if seed is None:
+        if worlds is not None:
+            worlds = self._world_indices(worlds)
+            options = {**options, "env_idx": worlds}
+        seeds = None if seed is None else expand_seeds(seed, self.num_envs if worlds is None else len(worlds))
+        self._adopt_compute_device()
+        if worlds is not None and not len(worlds):
+            info = self.get_info()
+            return self.get_obs(info), info | {"reconfigure": False}
+        if seeds is None:
             return super().reset(options=options)
-        seeds = expand_seeds(seed, self.num_envs if worlds is None else len(worlds))
         if worlds is None:
+            gym.Env.reset(self, seed=seeds[0])  # sets `np_random`, for those who draw from it
             return super().reset(seed=seeds, options=options)
         self._seed_worlds(seeds, common.to_numpy(worlds))
         determinism, self._enhanced_determinism = self._enhanced_determinism, False

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.physics import Model, rope
@@ -32,7 +33,7 @@ GRIPPER_ARCS = {2: (0.0, 1.0), 3: (0.0, 0.5, 1.0), 4: (0.0, 0.25, 0.75, 1.0)}
 
 
 @register_env("RopeShaping-v1", max_episode_steps=100)
-class RopeShapingEnv(DeformableEnv):
+class RopeShapingEnv(DeformableEnv, BaseEnv):
     """
     **Task Description:**
     A rope of 0.8 m lies straight on a table and must take a given planar shape, "W" by default, at

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
@@ -50,7 +51,7 @@ class WrappingMeasurement(Measurement):
 
 
 @register_env("RopeWrapping-v1", max_episode_steps=100)
-class RopeWrappingEnv(DeformableEnv):
+class RopeWrappingEnv(DeformableEnv, BaseEnv):
     """
     **Task Description:**
     A rope of 0.8 m lies straight on a table, beside a fixed post of 0.15 m height: a cylinder (radius

@@ -14,9 +14,12 @@ def expand_seeds(seed: int | Sequence[int], num_worlds: int) -> list[int]:
     does.
 
     Raises:
-        ValueError: If a sequence has neither one seed nor one per world.
+        ValueError: If a seed is not a whole number in [0, 2**32), or a sequence has neither one seed nor one per world.
     """
-    seeds = [int(value) for value in np.atleast_1d(np.asarray(seed))]
+    given = np.atleast_1d(np.asarray(seed))
+    if given.ndim != 1 or given.dtype.kind not in "iu" or not all(0 <= value < 2**32 for value in given.tolist()):
+        raise ValueError(f"seeds must be whole numbers in [0, 2**32), got {seed!r}")
+    seeds = given.tolist()
     if len(seeds) == num_worlds:
         return seeds
     if len(seeds) != 1:

@@ -13,7 +13,7 @@ from maniskill_grpd.physics import Solver
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
-from maniskill_grpd.tasks.worlds.rigid_motion import move_solver
+from maniskill_grpd.tasks.worlds.rigid_motion import checked_motion, move_solver
 from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
 
 
@@ -47,14 +47,18 @@ class RestorableWorlds(MeasuredWorlds):
         """Restore what `get_state_dict` returned.
 
         Args:
-            state: Leaves are numpy or torch, one row per world; or (D,) for a single world.
+            state: Leaves are numpy or torch, one row per world; or (D,) for a single world. "controller" may be left out: the
+                solver's state has the targets too.
             env_idx: Worlds to restore, in the order of the rows; all by default.
 
         Raises:
             ValueError: If the state does not fit.
         """
         worlds = self._world_indices(env_idx)
-        self._write_state(read_rows(state, self.get_state_dict(), len(worlds)), worlds)
+        template = self.get_state_dict()
+        if "controller" not in state:
+            del template["controller"]
+        self._write_state(read_rows(state, template, len(worlds)), worlds)
 
     def set_state(self, state: Any, env_idx: Any = None) -> None:
         """Restore what `get_state` returned: rows (b, D), or (D,) for a single world."""
@@ -62,10 +66,20 @@ class RestorableWorlds(MeasuredWorlds):
         self._write_state(read_flat(state, self.get_state_dict(), len(worlds)), worlds)
 
     def _world_indices(self, env_idx: Any) -> torch.Tensor:
+        """Return the indices (b,) of worlds that are given by indices or a mask (B,); all for None.
+
+        Raises:
+            ValueError: If there is no such world.
+        """
         if env_idx is None:
             return torch.arange(self.num_envs, device=self.device)
         worlds = torch.atleast_1d(torch.as_tensor(env_idx, device=self.device))
-        return worlds.nonzero()[:, 0] if worlds.dtype == torch.bool else worlds.long()
+        if worlds.dtype == torch.bool and worlds.shape == (self.num_envs,):
+            return worlds.nonzero()[:, 0]
+        is_index = not len(worlds) or not (worlds.is_floating_point() or worlds.dtype == torch.bool)
+        if worlds.ndim != 1 or not is_index or not ((worlds >= 0) & (worlds < self.num_envs)).all():
+            raise ValueError(f"env_idx must be indices in [0, {self.num_envs}) or a mask ({self.num_envs},), got {env_idx}")
+        return worlds.long()
 
     def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
         self.solver.set_state(state["solver"], worlds)
@@ -85,9 +99,13 @@ class RestorableWorlds(MeasuredWorlds):
         Args:
             rotation: Rotation matrices, (3, 3) or (B, 3, 3).
             translation: (3,) or (B, 3) [m].
+
+        Raises:
+            ValueError: If a matrix is no rotation (a reflection or a scaling for example), or a number is not finite. Nothing
+                has moved then.
         """
-        rotation = rotation.to(self.solver.positions).expand(self.num_envs, 3, 3)
-        translation = translation.to(rotation).expand(self.num_envs, 3)
+        rotation, translation = checked_motion(rotation, translation, self.num_envs)
+        rotation, translation = rotation.to(self.solver.positions), translation.to(self.solver.positions)
         move_solver(self.solver, rotation, translation)
         self._episode.move(rotation, translation)
         for agent in self._agents:
