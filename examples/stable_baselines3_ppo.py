@@ -2,6 +2,9 @@
 
 pip install -e ".[sb3]"
 python examples/stable_baselines3_ppo.py --env_id RopeShaping-v1 --total_timesteps 200_000
+
+A single world goes without the adapter: `Monitor(CPUGymWrapper(env))`. Not with `CPUGymWrapper(record_metrics=True)`, whose
+metrics stand where Stable-Baselines3 looks for its own.
 """
 
 from __future__ import annotations

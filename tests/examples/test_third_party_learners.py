@@ -1,8 +1,10 @@
 """Learners that know nothing of these tasks run on them."""
 
+import gymnasium as gym
 import maniskill_ppo
 import pytest
 import torch
+from mani_skill.utils.wrappers import CPUGymWrapper
 
 stable_baselines3_ppo = pytest.importorskip("stable_baselines3_ppo")
 
@@ -25,6 +27,20 @@ def test_stable_baselines3_trains_and_sees_whole_episodes():
     assert len(episodes) == 16
     assert all(episode["l"] == 100 for episode in episodes)
     assert all(0.0 < episode["r"] < 100.0 for episode in episodes)
+
+
+def test_stable_baselines3_sees_the_episodes_of_a_single_world_through_its_own_monitor():
+    """`CPUGymWrapper(record_metrics=True)` puts metrics of its own into `info["episode"]`, where it looks for "r"."""
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.monitor import Monitor
+
+    env = gym.make("RopeShaping-v1", sim_backend="cpu", obs_mode="state", max_episode_steps=8)
+    learner = stable_baselines3.PPO(
+        "MlpPolicy", Monitor(CPUGymWrapper(env), info_keywords=("success",)), n_steps=16, batch_size=16
+    )
+    learner.learn(32)
+    assert [episode["l"] for episode in learner.ep_info_buffer] == [8] * 4
+    assert not any(episode["success"] for episode in learner.ep_info_buffer)
 
 
 def test_ppo_as_in_maniskill_reports_its_metrics():

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.physics import RopeMaterial, Solver, resample_polyline, rope
+from maniskill_grpd.physics import RopeMaterial, Solver, resample_polyline, rope, sphere
 
 MAX_STEP = 0.03
 GRIPPER_NODES = torch.tensor([0, 10, 30, 40])
@@ -278,3 +278,15 @@ def test_resampled_polyline_has_equal_arc_steps_and_keeps_its_ends():
 def test_rope_mass_does_not_depend_on_resolution():
     masses = [rope([[0.0, 0.0], [0.8, 0.0]], num_nodes=n).masses.sum() for n in (20, 41, 200)]
     np.testing.assert_allclose(masses, 0.8 * RopeMaterial().linear_density, rtol=1e-5)
+
+
+def test_every_tensor_of_a_saved_state_is_a_copy():
+    """Also those that stay the same in most tests, such as gravity."""
+    solver = held_solver(2, colliders=[sphere(0.02)])
+    state = solver.state()
+    kept = {name: value.clone() for name, value in state.items()}
+    for name in state:
+        tensor = getattr(solver, name)
+        tensor.copy_(~tensor if tensor.dtype == torch.bool else tensor + 1)
+    for name, value in state.items():
+        assert torch.equal(value, kept[name]), name

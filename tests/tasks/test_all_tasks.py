@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.trajectory import utils as trajectory_utils
 from mani_skill.utils import common
 from mani_skill.utils.registration import REGISTERED_ENVS
@@ -219,6 +220,30 @@ def test_agents_that_share_the_grippers_do_what_one_does(make):
         reward = one.step(action)[1]
         parts = {f"floating_grippers_1-{index}": part for index, part in enumerate(action.split(3, dim=1))}
         assert torch.equal(several.step(parts)[1], reward)
+
+
+def test_base_env_is_a_direct_base(make):
+    """Learners such as skrl choose their adapter by the direct bases of the innermost class alone."""
+    assert BaseEnv in type(make(1).unwrapped).__bases__
+
+
+@pytest.mark.parametrize("made_within", [True, False])
+def test_environments_work_on_either_side_of_inference_mode(make, made_within):
+    """Tensors that were made in that mode cannot be written outside it."""
+    control = make()
+    with torch.inference_mode(made_within):
+        env = make()
+    actions = actions_for(env, 3)
+    for step, action in enumerate(actions):
+        with torch.inference_mode((step % 2 == 0) != made_within):
+            assert torch.equal(env.step(action)[1], control.step(action)[1])
+            env.reset(options={"env_idx": torch.tensor([1])}), control.reset(options={"env_idx": torch.tensor([1])})
+    with torch.inference_mode():
+        env.reset(seed=4, options={"reconfigure": True})
+    env.unwrapped.set_state_dict(control.unwrapped.get_state_dict())
+    env.unwrapped.move_worlds(torch.eye(3), torch.zeros(3))
+    assert torch.isfinite(env.step(actions[0])[1]).all()
+    env.reset()
 
 
 # ---------------------------------------------------------------- seeds, resets and states

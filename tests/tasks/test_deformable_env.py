@@ -140,6 +140,52 @@ def test_seeding_some_worlds_leaves_the_next_episodes_of_the_others_unchanged(ma
     assert_equal(env.reset()[0], control.reset()[0], [0, 2], [0, 2])
 
 
+def test_seeding_some_worlds_also_decides_their_later_episodes(make_env):
+    """The generator that draws the seeds of later episodes is seeded too, not that of the first episode alone."""
+    env, single = make_env(enhanced_determinism=True), make_env(1, enhanced_determinism=True)
+    env.reset(seed=[1, 2, 3])
+    env.reset(seed=[77], options={"env_idx": torch.tensor([1])})
+    single.reset(seed=77)
+    assert_equal(env.reset()[0], single.reset()[0], [1], [0])
+
+
+def test_resetting_no_world_changes_nothing(make_env, draw_actions):
+    env, control = make_env(enhanced_determinism=True), make_env(enhanced_determinism=True)
+    for each in (env, control):
+        each.reset(seed=3)
+    obs = run(env, draw_actions(2, 3))[-1]["obs"]
+    run(control, draw_actions(2, 3))
+    for nobody in (torch.tensor([], dtype=torch.int64), torch.zeros(3, dtype=torch.bool), np.array([], dtype=int), []):
+        for seed in (None, [], 5):
+            now, info = env.reset(seed=seed, options={"env_idx": nobody})
+            assert_equal(now, obs)
+            assert info["elapsed_steps"].tolist() == [2, 2, 2]
+            assert not info["reconfigure"]
+    assert_equal(env.unwrapped.get_state_dict(), control.unwrapped.get_state_dict())
+    assert_equal(env.reset()[0], control.reset()[0])
+
+
+def test_worlds_to_reset_may_be_given_as_a_mask(make_env):
+    env, other = make_env(), make_env()
+    mask = torch.tensor([True, False, True])
+    obs, _ = env.reset(seed=[5, 6], options={"env_idx": mask})
+    assert_equal(obs, other.reset(seed=[5, 6], options={"env_idx": torch.tensor([0, 2])})[0])
+    assert env.unwrapped._episode_seed[[0, 2]].tolist() == [5, 6]
+    with pytest.raises(ValueError, match="expected 1 or 2 seeds.*got 3"):
+        env.reset(seed=[5, 6, 7], options={"env_idx": mask})
+
+
+@pytest.mark.parametrize("env_idx", [[3], [-1], [0.5], [True, False], [[0, 1]]])
+def test_worlds_that_do_not_exist_are_refused(make_env, env_idx):
+    env = make_env()
+    before = env.unwrapped.get_state_dict()
+    with pytest.raises(ValueError, match=r"env_idx must be indices in \[0, 3\) or a mask \(3,\)"):
+        env.reset(options={"env_idx": torch.tensor(env_idx)})
+    with pytest.raises(ValueError, match=r"env_idx must be indices in \[0, 3\) or a mask \(3,\)"):
+        env.unwrapped.set_state_dict(before, torch.tensor(env_idx))
+    assert_equal(env.unwrapped.get_state_dict(), before)
+
+
 def test_seeds_that_fit_no_world_are_refused(make_env):
     env = make_env()
     with pytest.raises(ValueError, match="expected 1 or 3 seeds.*got 2"):
@@ -231,6 +277,17 @@ def test_worlds_can_be_reset_to_states(make_env, draw_actions):
     assert base.elapsed_steps.tolist() == [5, 5, 0]
 
 
+def test_a_state_without_the_controllers_restores_the_same(make_env, draw_actions):
+    """ManiSkill restores such states; the targets of the controllers are those of the solver's grippers."""
+    env = make_env()
+    base = env.unwrapped
+    run(env, draw_actions(3, 3))
+    whole = base.get_state_dict()
+    env.reset(seed=9)
+    base.set_state_dict({name: group for name, group in whole.items() if name != "controller"})
+    assert_equal(base.get_state_dict(), whole)
+
+
 def test_states_of_another_environment_are_refused(make_env):
     state = make_env(2).unwrapped.get_state_dict()
     with pytest.raises(ValueError, match="must be"):
@@ -239,6 +296,30 @@ def test_states_of_another_environment_are_refused(make_env):
         make_env(2).unwrapped.set_state(torch.zeros(2, 3))
     with pytest.raises(ValueError, match="missing"):
         make_env(2).unwrapped.set_state_dict({"actors": {}})
+
+
+# ---------------------------------------------------------------- rigid motions
+
+
+@pytest.mark.parametrize(
+    ("rotation", "translation", "message"),
+    [
+        (torch.diag(torch.tensor([1.0, 1.0, -1.0])), torch.zeros(3), "must be orthogonal with determinant 1"),
+        (2.0 * torch.eye(3), torch.zeros(3), "must be orthogonal with determinant 1"),
+        (torch.ones(3, 3), torch.zeros(3), "must be orthogonal with determinant 1"),
+        (torch.stack([torch.eye(3), torch.eye(3), -torch.eye(3)]), torch.zeros(3), "must be orthogonal with determinant 1"),
+        (torch.full((3, 3), torch.nan), torch.zeros(3), "rotation must be finite"),
+        (torch.eye(3), torch.tensor([0.0, torch.inf, 0.0]), "translation must be finite"),
+        (torch.eye(2), torch.zeros(3), r"rotation must be \(3, 3\) or \(3, 3, 3\), got \(2, 2\)"),
+        (torch.eye(3), torch.zeros(2, 3), r"translation must be \(3,\) or \(3, 3\), got \(2, 3\)"),
+    ],
+)
+def test_what_is_no_rigid_motion_is_refused_and_changes_nothing(make_env, rotation, translation, message):
+    base = make_env().unwrapped
+    before = base.get_state_dict()
+    with pytest.raises(ValueError, match=message):
+        base.move_worlds(rotation, translation)
+    assert_equal(base.get_state_dict(), before)
 
 
 # ---------------------------------------------------------------- failures and bad inputs

@@ -1,5 +1,8 @@
 """Choice of the nodes that a policy sees."""
 
+import math
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,13 +23,35 @@ def test_all_nodes_keep_the_mesh():
     np.testing.assert_array_equal(neighbors_among(MODEL, nodes), MODEL.neighbors)
 
 
+def covering_radius(nodes):
+    """Return the largest distance of any of the 41 nodes of the rope from the nearest chosen one, in edges."""
+    return np.abs(np.arange(41)[:, None] - nodes).min(axis=1).max()
+
+
+def optimal_radius(num):
+    """Return the smallest covering radius of `num` nodes that contain the held ones, in edges.
+
+    A stretch of g edges between two held nodes is covered with radius r by ceil((g - 2 r - 1) / (2 r + 1)) nodes within it:
+    its ends cover r inner nodes each, every other one 2 r + 1.
+    """
+    gaps = np.diff(HELD)
+    needed = [len(HELD) + sum(max(0, math.ceil((gap - 1 - 2 * r) / (2 * r + 1))) for gap in gaps) for r in range(41)]
+    return next(r for r in range(41) if needed[r] <= num)
+
+
+def test_the_optimal_radius_is_that_of_brute_force():
+    for num in (4, 5, 6):
+        choices = combinations(sorted(set(range(41)) - set(HELD)), num - 4)
+        assert optimal_radius(num) == min(covering_radius(np.array([*HELD, *more])) for more in choices)
+
+
 @given(st.integers(4, 41))
 def test_chosen_nodes_cover_the_rope_and_contain_the_held_ones(num):
     nodes = choose_graph_nodes(MODEL, num, HELD)
     assert len(set(nodes.tolist())) == num
     assert set(HELD) <= set(nodes.tolist())
-    # farthest-point sampling of a line leaves no gap of more than twice the even one
-    assert np.diff(nodes).max() <= max(20, 2 * 40 / (num - 1)) + 1
+    # No other choice that contains the held nodes covers the rope with less than half the radius.
+    assert covering_radius(nodes) <= 2 * optimal_radius(num)
 
 
 @given(st.integers(4, 40))

@@ -1,5 +1,6 @@
 """Small choices: observation modes, devices, seeds."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -73,3 +74,15 @@ def test_an_id_from_a_file_imports_a_module_only_when_allowed():
     for env_id in (None, 3, ""):
         with pytest.raises(ValueError, match="must be the id of a task"):
             check_env_id(env_id, "a.pt", allow_import=True)
+
+
+@pytest.mark.parametrize("seed", [1.5, 1.0, [1, 2.5], "3", True, -1, 2**32, [[1, 2]], None])
+def test_seeds_that_are_no_whole_numbers_are_refused(seed):
+    """1.5 was once cut to 1."""
+    with pytest.raises(ValueError, match=r"seeds must be whole numbers in \[0, 2\*\*32\), got"):
+        expand_seeds(seed, 2)
+
+
+@pytest.mark.parametrize("seed", [3, np.int64(3), [3], np.array([3]), torch.tensor([3])])
+def test_seeds_may_come_from_anywhere(seed):
+    assert expand_seeds(seed, 1) == [3]

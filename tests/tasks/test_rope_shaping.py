@@ -177,6 +177,23 @@ def test_rewards_success_and_graph_do_not_depend_on_the_frame(near_goal_env):
     check()
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_success_is_the_same_in_every_frame_up_to_its_limits(make_env, axis):
+    """Distances that are measured along an axis of the world would be right in some frames only."""
+    base = make_env(4).unwrapped
+    base.goal_positions.copy_(base.solver.positions)
+    base.goal_positions[0, :, axis] += 0.0295
+    base.goal_positions[1, :, axis] += 0.0305
+    base.goal_positions[2, 7, axis] += 0.0795
+    base.goal_positions[3, 7, axis] += 0.0805
+    state = base.get_state_dict()
+    for seed in range(10):
+        base.set_state_dict(state)
+        rotation = torch.as_tensor(Rotation.random(random_state=seed).as_matrix(), dtype=torch.float32)
+        base.move_worlds(rotation, torch.tensor([0.2, -0.1, 0.3]))
+        assert base.evaluate()["success"].tolist() == [True, False, True, False]
+
+
 def test_moving_the_goal_alone_changes_the_reward(near_goal_env):
     """Negative control of the test above."""
     base = near_goal_env.unwrapped

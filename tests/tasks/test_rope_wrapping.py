@@ -118,6 +118,18 @@ def test_success_is_a_rope_that_is_closed_around_the_post_at_its_height(make_env
     assert dict(zip(CONFIGURATIONS, success, strict=True)) == {name: good for name, (_, good) in CONFIGURATIONS.items()}
 
 
+def test_success_is_the_same_in_every_frame(make_env):
+    """Limits that are measured along an axis of the world hold on a table that lies flat, and nowhere else."""
+    env = make_env(len(CONFIGURATIONS), shapes=ALL_SHAPES)
+    base = env.unwrapped
+    base.solver.positions.copy_(torch.stack([build() for build, _ in CONFIGURATIONS.values()]) + post_base(base))
+    state, expected = base.get_state_dict(), [good for _, good in CONFIGURATIONS.values()]
+    for seed in range(10):
+        base.set_state_dict(state)
+        base.move_worlds(rotation_of(seed), torch.tensor([0.2, -0.1, 0.3]))
+        assert base.evaluate()["success"].tolist() == expected
+
+
 def test_a_frozen_world_has_failed(make_env):
     env = make_env(2)
     base = env.unwrapped

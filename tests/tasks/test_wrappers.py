@@ -8,6 +8,7 @@ import imageio.v3 as imageio
 import numpy as np
 import pytest
 import torch
+from gymnasium.utils.env_checker import check_env
 from mani_skill.trajectory import utils as trajectory_utils
 from mani_skill.utils import common
 from mani_skill.utils.wrappers.gymnasium import CPUGymWrapper
@@ -105,6 +106,12 @@ def test_cpu_gym_wrapper_speaks_plain_gymnasium(make_env, obs_mode):
     assert info["episode"]["episode_len"] == 1
     with pytest.raises(ValueError, match="must be finite"):
         env.step(np.full(12, np.nan, dtype=np.float32))
+
+
+@pytest.mark.parametrize("obs_mode", ["graph", "state"])
+def test_a_plain_environment_passes_the_checks_of_gymnasium(make_env, obs_mode):
+    # The checks of rendering and closing make the environment anew, which the time limit of ManiSkill does not allow.
+    check_env(CPUGymWrapper(make_env(1, obs_mode=obs_mode)), skip_render_check=True, skip_close_check=True)
 
 
 def test_gymnasium_vectorises_plain_environments():
