@@ -17,13 +17,13 @@ from typing import Any
 
 import torch
 import tyro
-from maniskill_grpd.runs.checkpoints import load_policy
 
 from maniskill_grpd.experiments import Condition, Study, Task, find_study
 from maniskill_grpd.experiments.records import TEST_FOLDER
 from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import CheckpointError, TrainConfig
 from maniskill_grpd.policies import Policy
+from maniskill_grpd.runs.checkpoints import load_policy
 from maniskill_grpd.runs.play import change_task, play
 
 REFUSALS = (ValueError, TypeError, CheckpointError)

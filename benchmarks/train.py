@@ -27,12 +27,12 @@ from typing import Any
 
 import torch
 from machine import describe_machine, machine_line
-from maniskill_grpd.runs.environments import make_vector_env
 
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.allocator import keep_freed_memory
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.policies import make_policy
+from maniskill_grpd.runs.environments import make_vector_env
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "maniskill_ppo.py"
 """The peer: an example, and so no module of a package."""

@@ -21,10 +21,10 @@ from typing import Any
 
 import gymnasium as gym
 import torch
-from maniskill_grpd.runs.checkpoints import load_policy
 
 import maniskill_grpd  # noqa: F401  (registers the task)
 from maniskill_grpd.experts import make_expert
+from maniskill_grpd.runs.checkpoints import load_policy
 
 NUM_WORLDS = 200
 FIRST_SEED = 1_000_000

@@ -58,8 +58,5 @@ def change_task(
     given = {pair.partition("=")[0] for pair in env_kwargs}
     kept = tuple(pair for pair in trained.env_kwargs if pair.partition("=")[0] not in given)
     return dataclasses.replace(
-        trained,
-        env_id=env_id or trained.env_id,
-        env_kwargs=(*kept, *env_kwargs),
-        sim_backend=sim_backend or trained.sim_backend,
+        trained, env_id=env_id or trained.env_id, env_kwargs=(*kept, *env_kwargs), sim_backend=sim_backend or trained.sim_backend
     )

@@ -1,0 +1,54 @@
+"""The policy of a checkpoint, and whether it fits a task."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import torch
+
+from maniskill_grpd.learning import CheckpointError, load_checkpoint
+from maniskill_grpd.learning.checkpoint import describe_differences
+from maniskill_grpd.policies import Policy, policy_from_config
+from maniskill_grpd.tasks.options.env_id import check_env_id
+
+
+def load_policy(
+    path: str | Path, device: str | torch.device = "cpu", *, allow_import: bool = False
+) -> tuple[Policy, dict[str, Any]]:
+    """Rebuild the policy of a checkpoint.
+
+    Args:
+        path: The checkpoint.
+        device: Where the policy goes.
+        allow_import: Whether the id of its task may name a module, which is imported when the task is made.
+
+    Returns:
+        The policy, and the other contents of the checkpoint.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        CheckpointError: If it is no checkpoint.
+        ValueError: If the id of its task names a module and that is not allowed.
+    """
+    contents = load_checkpoint(path)
+    check_env_id(contents["train_config"].get("env_id"), str(path), allow_import=allow_import)
+    policy = policy_from_config(contents["policy"])
+    policy.load_state_dict(contents["weights"])
+    return policy.to(device).eval(), contents
+
+
+def check_schema(policy: Policy, env: gym.Env) -> None:
+    """Refuse an environment whose observations mean something else than the policy was trained on.
+
+    The number of nodes, of grippers and the size of the object may differ; the channels may not.
+
+    Raises:
+        CheckpointError: Naming the channels that differ.
+    """
+    trained, given = policy.schema.to_dict(), env.unwrapped.graph_schema.to_dict()
+    parts = ("object", "actuator")
+    differences = describe_differences({part: trained[part] for part in parts}, {part: given[part] for part in parts})
+    if differences:
+        raise CheckpointError("the policy was trained on other observations than this task gives: " + "; ".join(differences))
