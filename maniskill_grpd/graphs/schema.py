@@ -24,16 +24,44 @@ class Channel:
         kind: "vector" (rotates with the scene) or "scalar" (does not).
         unit: SI unit, "" when dimensionless.
         source: Where the channel comes from, for example "eq. 42".
+        starts_at: "node" for vectors that lead from the node to something: they change by -d when the node moves by d.
+        ends_at: "partner" for vectors that lead to the other one of two nodes: they change by +d when that one moves by d.
+        across: Name of a unit vector channel of the same nodes, along which the something extends, like an axis: a vector that
+            starts at the node leads to its nearest point, and only the part of d across it counts.
+        along: Name of a unit vector channel: the scalar tells how far along it the node is.
+        distance_of: Name of a vector channel whose length the scalar is; it may be measured from elsewhere, such as from the
+            surface of what the vector leads to.
+
+    A channel with none of these does not change when its node moves, or changes in a way that only the simulation can tell.
     """
 
     name: str
     kind: Literal["vector", "scalar"]
     unit: str
     source: str
+    starts_at: Literal["node"] | None = None
+    ends_at: Literal["partner"] | None = None
+    across: str | None = None
+    along: str | None = None
+    distance_of: str | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in ("vector", "scalar"):
             raise ValueError(f'kind of channel {self.name!r} must be "vector" or "scalar", got {self.kind!r}')
+        for name, allowed in (("starts_at", "node"), ("ends_at", "partner")):
+            if getattr(self, name) not in (None, allowed):
+                raise ValueError(f"{name} of channel {self.name!r} must be {allowed!r} or None, got {getattr(self, name)!r}")
+        of_vectors, of_scalars = (self.starts_at, self.ends_at, self.across), (self.along, self.distance_of)
+        if any(of_scalars if self.kind == "vector" else of_vectors):
+            raise ValueError(
+                f"channel {self.name!r} is a {self.kind}: vectors take starts_at, ends_at and across, "
+                "scalars along and distance_of"
+            )
+
+    @property
+    def follows(self) -> tuple[str, ...]:
+        """Names of the vector channels that this one is told by."""
+        return tuple(name for name in (self.across, self.along, self.distance_of) if name is not None)
 
 
 @dataclass(frozen=True)
@@ -56,6 +84,11 @@ class NodeSchema:
             names = [channel.name for channel in channels]
             if len(set(names)) != len(names):
                 raise ValueError(f"names of {kind} channels must be unique, got {names}")
+        vectors = [channel.name for channel in self.vectors]
+        for channel in (*self.vectors, *self.scalars):
+            unknown = [name for name in channel.follows if name not in vectors]
+            if unknown:
+                raise ValueError(f"channel {channel.name!r} follows {unknown}, which are not among the vectors {vectors}")
 
     @property
     def num_vectors(self) -> int:

@@ -31,9 +31,7 @@ CLOTH_AREA = 0.16
 HOLE_RADIUS = 0.06
 """Default radius of the hole [m]."""
 
-HANGER_OFFSET = Channel("hanger_offset", "vector", "m", "tip of the peg (nearest point of the bar) minus position, design")
 HANGER_AXIS = Channel("hanger_axis", "vector", "", "unit vector out of the peg's tip (along the bar), design")
-HANGER_DISTANCE = Channel("hanger_distance", "scalar", "m", "d_v, eq. 42: distance from the surface of peg or bar")
 SEAT = Channel("seat", "scalar", "", "1 on the boundary of the hole (of the disc that comes onto the bar), design")
 SEAT_OFFSET = Channel("seat_offset", "vector", "m", "hanger_offset of the middle of the seat, design")
 SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit area vector of the seat, out of the front of the cloth, design")
@@ -94,17 +92,6 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
     DEFAULT_NUM_GRIPPERS = 4
     HAS_TABLE = False
     PROGRESS = Metric("way_to_hanger", "m")
-    OBJECT_CHANNELS = (channels.VELOCITY, HANGER_OFFSET, HANGER_AXIS, HANGER_DISTANCE, SEAT, channels.CORNER, channels.HELD)
-    GRIPPER_CHANNELS = (
-        channels.VELOCITY,
-        HANGER_OFFSET,
-        HANGER_AXIS,
-        SEAT_OFFSET,
-        SEAT_NORMAL,
-        HANGER_DISTANCE,
-        SEAT_DEPTH,
-        channels.GRIPPER_STATUS,
-    )
 
     CAMERA_POSITION = (-0.9, -2.3, 1.1)  # from there it sees hangers in all directions from the origin
     CAMERA_TARGET = (0.0, 0.0, 0.0)
@@ -180,6 +167,18 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         self.hole_radius = None if hanger == "bar" else HOLE_RADIUS if hole_radius is None else hole_radius
         self._holes = [self._cut_hole(shape, hole_center) for shape in self.shapes]
         self._hanger: Hanger = BarHanger() if self.hole_radius is None else PegHanger(self.hole_radius, self.TILT_RANGE[release])
+        offset, distance = self._hanger.channels
+        self.OBJECT_CHANNELS = (channels.VELOCITY, offset, HANGER_AXIS, distance, SEAT, channels.CORNER, channels.HELD)
+        self.GRIPPER_CHANNELS = (
+            channels.VELOCITY,
+            offset,
+            HANGER_AXIS,
+            SEAT_OFFSET,
+            SEAT_NORMAL,
+            distance,
+            SEAT_DEPTH,
+            channels.GRIPPER_STATUS,
+        )
         super().__init__(**(_with_free_grasp(settings) if release else settings))
 
     # ------------------------------------------------------------------ episode

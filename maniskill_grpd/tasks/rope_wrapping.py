@@ -30,13 +30,24 @@ RESOLUTIONS = (20, 200)
 
 POST_CHANNELS = (
     Channel("post_axis", "vector", "", "unit vector from the base of the post to its top, design"),
-    Channel("post_offset", "vector", "m", "nearest point of the post's axis minus position, design"),
-    Channel("post_distance", "scalar", "m", "distance from the post's axis, design"),
-    Channel("post_height", "scalar", "m", "height above the base of the post, along its axis, design"),
+    Channel(
+        "post_offset",
+        "vector",
+        "m",
+        "nearest point of the post's axis minus position, design",
+        starts_at="node",
+        across="post_axis",
+    ),
+    Channel("post_distance", "scalar", "m", "distance from the post's axis, design", distance_of="post_offset"),
+    Channel("post_height", "scalar", "m", "height above the base of the post, along its axis, design", along="post_axis"),
     *(Channel(f"post_is_{shape}", "scalar", "", f"1 where the post is a {shape}, design") for shape in POSTS),
 )
-PARTNER_OFFSET = Channel("partner_offset", "vector", "m", "position of the other gripper minus position, design")
-PARTNER_DISTANCE = Channel("partner_distance", "scalar", "m", "distance of the other gripper, design")
+PARTNER_OFFSET = Channel(
+    "partner_offset", "vector", "m", "position of the other gripper minus position, design", starts_at="node", ends_at="partner"
+)
+PARTNER_DISTANCE = Channel(
+    "partner_distance", "scalar", "m", "distance of the other gripper, design", distance_of="partner_offset"
+)
 WINDING = Channel("winding", "scalar", "", "|winding number| of the rope about the post, design")
 
 

@@ -13,8 +13,8 @@ from maniskill_grpd.learning.observation_noise import ObservationNoise
 from maniskill_grpd.learning.rollout import graph_items
 
 NODES = NodeSchema(
-    vectors=(Channel("velocity", "vector", "m/s", ""), Channel("goal_offset", "vector", "m", "")),
-    scalars=(Channel("contact", "scalar", "", ""), Channel("goal_distance", "scalar", "m", "")),
+    vectors=(Channel("velocity", "vector", "m/s", ""), Channel("goal_offset", "vector", "m", "", starts_at="node")),
+    scalars=(Channel("contact", "scalar", "", ""), Channel("goal_distance", "scalar", "m", "", distance_of="goal_offset")),
 )
 BOTH = GraphSchema(object=NODES, actuator=NODES, length_scale=1.0, edge_length=1.0)
 

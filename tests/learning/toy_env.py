@@ -15,13 +15,11 @@ from maniskill_grpd.policies import ActionDistribution
 
 STEP_SIZE = 0.1
 
+GOAL_OFFSET = Channel("goal_offset", "vector", "m", "toy", starts_at="node")
+GOAL_DISTANCE = Channel("goal_distance", "scalar", "m", "toy", distance_of="goal_offset")
 SCHEMA = GraphSchema(
-    object=NodeSchema(
-        vectors=(Channel("goal_offset", "vector", "m", "toy"),), scalars=(Channel("goal_distance", "scalar", "m", "toy"),)
-    ),
-    actuator=NodeSchema(
-        vectors=(Channel("goal_offset", "vector", "m", "toy"),), scalars=(Channel("goal_distance", "scalar", "m", "toy"),)
-    ),
+    object=NodeSchema(vectors=(GOAL_OFFSET,), scalars=(GOAL_DISTANCE,)),
+    actuator=NodeSchema(vectors=(GOAL_OFFSET,), scalars=(GOAL_DISTANCE,)),
     length_scale=1.0,
     edge_length=1.0,
 )

@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Solver, capsule
-from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging, distances_to_segment, way_to_go
+from maniskill_grpd.tasks.geometry.hanger import (
+    DISTANCE,
+    DISTANCE_SOURCE,
+    OFFSET,
+    OFFSET_SOURCE,
+    Hanger,
+    Hanging,
+    distances_to_segment,
+    way_to_go,
+)
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre
 
 
@@ -29,6 +39,10 @@ class BarHanger(Hanger):
 
     radius = RADIUS
     distances = (0.85, 0.95)
+    channels = (
+        Channel(OFFSET, "vector", "m", OFFSET_SOURCE, starts_at="node", across="hanger_axis"),
+        Channel(DISTANCE, "scalar", "m", DISTANCE_SOURCE, distance_of=OFFSET),
+    )
 
     def __init__(self) -> None:
         self.colliders = (capsule(self.RADIUS, self.LENGTH / 2.0 - self.RADIUS),)

@@ -8,7 +8,12 @@ from dataclasses import dataclass
 
 import torch
 
+from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Solver
+
+OFFSET, OFFSET_SOURCE = "hanger_offset", "tip of the peg (nearest point of the bar) minus position, design"
+DISTANCE, DISTANCE_SOURCE = "hanger_distance", "d_v, eq. 42: distance from the surface of peg or bar"
+"""Names of the channels of a hanger, and what they are."""
 
 WAITING_DISTANCE = 0.08
 """How far before a hanger [m] the way onto it begins."""
@@ -47,11 +52,13 @@ class Hanger(ABC):
         colliders: What the cloth touches, K of them.
         distances: Smallest and largest distance of its middle from the origin [m].
         radius: Half its thickness [m].
+        channels: What observations call `offsets` and `distances_to`.
     """
 
     colliders: Sequence[Collider]
     distances: tuple[float, float]
     radius: float
+    channels: tuple[Channel, Channel]
 
     def attach(self, solver: Solver) -> None:  # noqa: B027  (a peg needs to know nothing)
         """Learn what the cloths of a solver are made of, before the first measurement."""

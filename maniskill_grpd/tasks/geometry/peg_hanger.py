@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Solver, capsule, cylinder
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap
-from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging, distances_to_segment, way_to_go
+from maniskill_grpd.tasks.geometry.hanger import (
+    DISTANCE,
+    DISTANCE_SOURCE,
+    OFFSET,
+    OFFSET_SOURCE,
+    Hanger,
+    Hanging,
+    distances_to_segment,
+    way_to_go,
+)
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre, winding_about_axis
 
 
@@ -38,6 +48,10 @@ class PegHanger(Hanger):
 
     radius = RADIUS
     distances = (0.75, 0.85)
+    channels = (
+        Channel(OFFSET, "vector", "m", OFFSET_SOURCE, starts_at="node"),
+        Channel(DISTANCE, "scalar", "m", DISTANCE_SOURCE),  # from the side of the peg: not the length of the offset
+    )
 
     def __init__(self, hole_radius: float, largest_tilt: float) -> None:
         self.plate_radius = self.PLATE_RADIUS_PER_HOLE_RADIUS * hole_radius

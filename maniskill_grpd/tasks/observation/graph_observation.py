@@ -10,6 +10,7 @@ import torch
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
 from maniskill_grpd.physics import Model, Solver
+from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, neighbors_among, spacing_among
 
 CONTACT_DISTANCE = 1.5
@@ -85,10 +86,9 @@ class GraphObservation:
             nodes = {key: value[rows, self._nodes[variants]] for key, value in nodes.items()}
         nodes |= {"mask": self._mask[variants], "neighbors": self._neighbors[variants]}
         common = {
-            "velocity": gripper_velocities,
-            "arc": along.gather(1, start_nodes),
-            "corner": along.gather(1, start_nodes),
-            "gripper_status": solver.closed.float(),
+            channels.VELOCITY.name: gripper_velocities,
+            self._place.name: along.gather(1, start_nodes),
+            channels.GRIPPER_STATUS.name: solver.closed.float(),
         }
         grippers = _stack_channels("gripper", solver.gripper_positions, common, gripper_values, self.schema.actuator)
         grippers["mask"] = torch.ones_like(solver.closed)
@@ -103,11 +103,13 @@ class GraphObservation:
         chosen, mask = np.zeros((count, size), np.int64), np.zeros((count, size), bool)
         padded = np.full((count, size, width), -1, np.int64)
         along = np.zeros((count, solver.num_nodes), np.float32)
+        is_rope = len(solver.model.faces) == 0
+        self._place = channels.ARC if is_rope else channels.CORNER  # how a node lies in the object, whatever its pose
         for index, model in enumerate(solver.models):
             num = len(nodes[index])
             chosen[index, :num], mask[index, :num] = nodes[index], True
             padded[index, :num, : neighbors[index].shape[1]] = neighbors[index]
-            along[index, : model.num_nodes] = np.abs(2.0 * model.arc - 1.0) if len(model.faces) == 0 else 1.0 - model.arc
+            along[index, : model.num_nodes] = np.abs(2.0 * model.arc - 1.0) if is_rope else 1.0 - model.arc
         self._nodes, self._mask, self._neighbors, self._along = (
             torch.as_tensor(table, device=solver.device) for table in (chosen, mask, padded, along)
         )
@@ -115,13 +117,11 @@ class GraphObservation:
     def _common_values(self, variants: torch.Tensor) -> dict[str, torch.Tensor]:
         solver = self._solver
         height = (solver.positions * solver.plane[:, None, :3]).sum(-1) - solver.plane[:, 3:]
-        along = self._along[variants]
         return {
-            "velocity": solver.velocities,
-            "arc": along,
-            "corner": along,
-            "held": (solver.holder >= 0).float(),
-            "contact": (height < CONTACT_DISTANCE * solver.model.radius).float(),
+            channels.VELOCITY.name: solver.velocities,
+            self._place.name: self._along[variants],
+            channels.HELD.name: (solver.holder >= 0).float(),
+            channels.CONTACT.name: (height < CONTACT_DISTANCE * solver.model.radius).float(),
         }
 
 
