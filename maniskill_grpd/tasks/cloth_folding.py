@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,19 +13,20 @@ from mani_skill.utils.registration import register_env
 
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Model, cloth
-from maniskill_grpd.physics.mesh.outlines import signed_area
+from maniskill_grpd.physics.mesh.outlines import check_polygon, signed_area
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
+from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline, in_cloth_frame
 from maniskill_grpd.tasks.geometry.crease import (
     area_beyond,
-    corner_directions,
     crease_ends,
+    cut_open,
     hull_corners,
     mirror,
     offset_of_share,
-    side_directions,
     signed_distances,
 )
+from maniskill_grpd.tasks.geometry.fold_directions import CREASES, MOVING_SHARES, fold_directions
+from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape, shape_label
 from maniskill_grpd.tasks.measurement import GoalMeasurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
@@ -43,26 +44,6 @@ CREASE_NORMAL = Channel("crease_normal", "vector", "", "unit normal of the creas
 IS_MOVING = Channel("is_moving", "scalar", "", "1 where the node belongs to the half that is to move, design")
 
 
-class CreaseRange(NamedTuple):
-    """The creases of one number of grippers."""
-
-    directions: Callable[[np.ndarray], np.ndarray]
-    """Gives the directions (S, 2) about which the normals of the creases of an outline (P, 2) are drawn."""
-    deviation: float
-    """Largest angle between a normal and its direction [rad]."""
-    grip_angles: tuple[float, ...]
-    """Each gripper holds the node farthest in a direction this far from the crease's normal [rad]."""
-
-
-CREASES = {
-    1: CreaseRange(corner_directions, np.deg2rad(10.0), (0.0,)),
-    2: CreaseRange(side_directions, np.deg2rad(20.0), (-np.deg2rad(25.0), np.deg2rad(25.0))),
-}
-"""Creases by the number of grippers."""
-MOVING_SHARES = (0.25, 0.5)
-"""Smallest and largest share of the cloth's area that is to move."""
-
-
 @register_env("ClothFolding-v1", max_episode_steps=100)
 class ClothFoldingEnv(DeformableEnv, BaseEnv):
     """
@@ -76,7 +57,8 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
     - the centre of the cloth is uniform in the square [-0.15, 0.15] m x [-0.15, 0.15] m
     - its direction is uniform in [-180, 180] degrees
     - the crease is drawn in the frame of the cloth, independently of where that lies: with two grippers any side of the shape
-      (of an L the four of its box, of a circle 48) is folded in, and the normal of the crease deviates from that of the side by
+      (of an L the four of its box, of a circle 48, of a star the lines from tip to tip; the long sides of a strip are left out,
+      where more than half of it would move) is folded in, and the normal of the crease deviates from that of the side by
       an angle uniform in [-20, 20] degrees; with one gripper any corner is, and the angle to its bisector is uniform in
       [-10, 10] degrees
     - the half that is to move has a share of the area uniform in [0.25, 0.5]; where 0.25 would leave one of the held points out
@@ -152,7 +134,8 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         *,
         num_grippers: int | None = None,
         resolution: int | Sequence[int] | None = None,
-        shapes: str | Sequence[str] = "square",
+        shapes: GivenShape | Iterable[GivenShape] = "square",
+        holes: Sequence[np.ndarray] = (),
         **settings: Any,
     ) -> None:
         """Set up the task.
@@ -161,8 +144,10 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
             num_grippers: 2 (default) or 1.
             resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
                 two grippers and 144 with one. Much coarser cloths are too stiff along slanted creases for some of the folds.
-            shapes: "square" (default), "rectangle", "triangle", "hexagon", "circle" or, with two grippers, "l_shape"; of several,
-                each episode draws one.
+            shapes: The cloth's outline, a name ("square" by default, "rectangle", "triangle", "hexagon", "circle", with two
+                grippers "l_shape", or one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size and with one
+                gripper must be convex; of several, each episode draws one.
+            holes: Polygons (P, 2) [m] that are cut out of every cloth, in the coordinates of its outline.
             settings: Options of `DeformableEnv`.
 
         Raises:
@@ -175,18 +160,23 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
             )
         self.resolutions = None if resolution is None else check_resolutions(resolution, *RESOLUTIONS)
         self.shapes = check_cloth_shapes(shapes, CLOTH_AREA)
+        self._holes = [check_polygon(hole, f"holes[{index}]") for index, hole in enumerate(holes)]
         super().__init__(num_grippers=num_grippers, **settings)
 
     # ------------------------------------------------------------------ episode
 
     def build_models(self) -> list[Model]:
         """Build a cloth of each shape and resolution."""
-        if self.num_grippers == 1 and "l_shape" in self.shapes:
-            raise ValueError("l_shape needs two grippers: what is beyond a crease of an L is not carried by one point")
         self.resolutions = self.resolutions or (DEFAULT_RESOLUTIONS[self.num_grippers],)
-        self._outline_of_variant = [cloth_outline(name, CLOTH_AREA) for name in self.shapes for _ in self.resolutions]
+        self._shape_of_variant = [shape for shape in self.shapes for _ in self.resolutions]
         sizes = self.resolutions * len(self.shapes)
-        return [cloth(outline, num_nodes=size) for outline, size in zip(self._outline_of_variant, sizes, strict=True)]
+        return [
+            cloth(cloth_outline(shape, CLOTH_AREA), self._holes_of(shape), num_nodes=size)
+            for shape, size in zip(self._shape_of_variant, sizes, strict=True)
+        ]
+
+    def _holes_of(self, shape: Shape) -> list[np.ndarray]:
+        return [in_cloth_frame(shape, hole) for hole in self._holes]
 
     def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
         """Return the corners of the convex hull."""
@@ -199,19 +189,20 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         self.is_moving = self.episode_tensor("is_moving", num_nodes, kind="scalar")
         self.crease_normal = self.episode_tensor("crease_normal", 3, kind="vector")
         self.crease_ends = self.episode_tensor("crease_ends", 2, 3, kind="position")
-        directions = [CREASES[self.num_grippers].directions(outline) for outline in self._outline_of_variant]
+        shapes = self._shape_of_variant
+        outlines = [cloth_outline(shape, CLOTH_AREA) for shape in shapes]
+        regions = [cut_open(outline, self._holes_of(shape)) for outline, shape in zip(outlines, shapes, strict=True)]
+        directions = [
+            fold_directions(outline, self.num_grippers, shape_label(shape))
+            for outline, shape in zip(outlines, shapes, strict=True)
+        ]
         candidates = [self.candidate_gripper_nodes(model) for model in self.models]
-        areas = [signed_area(outline) for outline in self._outline_of_variant]
+        areas = [signed_area(region) for region in regions]
         self._areas = torch.tensor(areas, dtype=torch.float32, device=self.device)
         self._num_directions = torch.tensor([len(rows) for rows in directions], device=self.device)
-        self._directions, self._outlines, self._rest, self._candidates = (
+        self._directions, self._outlines, self._regions, self._rest, self._candidates = (
             self.variant_table(tables)
-            for tables in (
-                directions,
-                self._outline_of_variant,
-                [model.rest_positions[:, :2] for model in self.models],
-                candidates,
-            )
+            for tables in (directions, outlines, regions, [model.rest_positions[:, :2] for model in self.models], candidates)
         )
 
     def start_episode(self, worlds: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -240,13 +231,13 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
 
     def _draw_offset(self, variant: torch.Tensor, normal: torch.Tensor, held: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Draw offsets of creases (b,) [m], beyond which all held nodes (b, A) lie, from numbers in [-1, 1) (b,)."""
-        outlines, zero = self._outlines[variant], torch.zeros_like(draws)
+        regions, zero = self._regions[variant], torch.zeros_like(draws)
         points = self._rest[variant].gather(1, held[..., None].expand(-1, -1, 2))
         nearest = signed_distances(points, normal, zero).amin(dim=1)
         low, high = MOVING_SHARES
-        low = (area_beyond(outlines, normal, nearest) / self._areas[variant]).clamp(min=low)
+        low = (area_beyond(regions, normal, nearest) / self._areas[variant]).clamp(min=low)
         share = 0.5 * (low + high) + 0.5 * (high - low) * self.pose_share * draws
-        return offset_of_share(outlines, normal, share)
+        return offset_of_share(regions, normal, share)
 
     def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
         """Return the extreme nodes that the grippers hold, (b, A)."""

@@ -250,7 +250,7 @@ def test_success_of_folded_cloths_does_not_depend_on_the_frame(make_folding):
         ({"num_grippers": 4}, r"one of \[1, 2\], got 4: a fold has two extreme points"),
         ({"num_grippers": 0}, r"one of \[1, 2\], got 0"),
         ({"robot_uids": "floating_grippers_4"}, "robot_uids must be one of"),
-        ({"num_grippers": 1, "shapes": "l_shape"}, "l_shape needs two grippers"),
+        ({"num_grippers": 1, "shapes": "l_shape"}, "l_shape needs two grippers.*not convex"),
         ({"shapes": ("square", "star")}, "shapes of cloth must be among square"),
         ({"resolution": 48}, r"resolution must be in \[49, 1225\]"),
         ({"resolution": (100, 1226)}, r"resolution must be in \[49, 1225\]"),

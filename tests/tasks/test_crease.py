@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maniskill_grpd.physics import cloth
+from maniskill_grpd.physics import circle_outline, cloth, rectangle_outline, square_outline
 from maniskill_grpd.physics.mesh.outlines import distance_to, signed_area
 from maniskill_grpd.tasks import CLOTH_SHAPES
 from maniskill_grpd.tasks.geometry.cloth_shapes import cloth_outline
@@ -14,12 +14,15 @@ from maniskill_grpd.tasks.geometry.crease import (
     area_beyond,
     corner_directions,
     crease_ends,
+    cut_open,
     hull_corners,
+    is_convex,
     mirror,
     offset_of_share,
     side_directions,
     signed_distances,
 )
+from maniskill_grpd.tasks.geometry.fold_directions import fold_directions
 
 shapes = st.sampled_from(list(CLOTH_SHAPES))
 angles = st.floats(-np.pi, np.pi)
@@ -121,3 +124,50 @@ def test_nodes_along_a_straight_side_are_no_corners(name, num_corners):
     corners = rest[hull_corners(rest)]
     assert len(corners) == num_corners
     assert signed_area(corners) > 0.0
+
+
+STAR = np.array([[r * np.sin(a), r * np.cos(a)] for a, r in zip(-np.pi * np.arange(10) / 5, [1.0, 0.45] * 5, strict=True)])
+ARROW_HEAD = np.array([[0.0, 2.0], [-1.5, -1.0], [0.0, -0.3], [1.5, -1.0]])
+
+
+def test_outlines_that_are_not_convex_are_folded_along_the_sides_of_their_hull():
+    """The notch of an arrow head is bridged by no side; of a star, whose hull bridges notches alone, all five are sides."""
+    assert len(side_directions(ARROW_HEAD)) == 2
+    directions = side_directions(STAR)
+    heights = np.sort(STAR @ directions.T, axis=0)
+    assert directions.shape == (5, 2)
+    np.testing.assert_allclose(heights[-2:], np.cos(np.pi / 5), rtol=1e-12)  # two tips each
+    assert (is_convex(STAR), is_convex(ARROW_HEAD), is_convex(cloth_outline("circle", 1.0))) == (False, False, True)
+
+
+def test_a_point_on_a_straight_side_changes_no_direction():
+    square = cloth_outline("square", 1.0)
+    with_middle = np.insert(square, 1, 0.5 * (square[0] + square[1]), axis=0)
+    np.testing.assert_allclose(
+        sorted(side_directions(with_middle).round(9).tolist()), sorted(side_directions(square).round(9).tolist())
+    )
+
+
+@given(angles, st.floats(-0.4, 0.4))
+def test_holes_are_left_out_of_areas_beyond_creases(angle, offset):
+    outline = cloth_outline("l_shape", 1.0)
+    holes = [circle_outline(0.1, (-0.3, -0.3), num_points=12), square_outline(0.1) + [0.3, -0.4]]
+    batch, normal = as_batch(cut_open(outline, holes), angle)
+    parts = [clipped(polygon, normal[0].numpy().astype(np.float64), offset) for polygon in (outline, *holes)]
+    area, *cut = [signed_area(part) if len(part) else 0.0 for part in parts]
+    assert area_beyond(batch, normal, torch.tensor([offset]))[0] == pytest.approx(area - sum(cut), abs=2e-5)
+    assert signed_area(cut_open(outline, holes)) == pytest.approx(1.0 - sum(signed_area(hole) for hole in holes))
+
+
+def test_the_long_sides_of_a_strip_are_not_folded_in():
+    """With its ends beyond a crease that is slanted by up to 20 degrees, more than half of a strip would move."""
+    strip = rectangle_outline(0.3, 0.04)
+    assert len(side_directions(strip)) == 4
+    np.testing.assert_allclose(np.abs(fold_directions(strip, 2, "strip")), [[1.0, 0.0], [1.0, 0.0]], atol=1e-12)
+
+
+def test_cloths_that_cannot_be_folded_are_refused_with_the_reason():
+    with pytest.raises(ValueError, match="star needs two grippers.*not convex"):
+        fold_directions(STAR, 1, "star")
+    with pytest.raises(ValueError, match="sliver cannot be folded.*% of the area or more is, and at most 50% is to move"):
+        fold_directions(np.array([[0.0, -1.0], [0.1, 0.0], [0.0, 1.0], [-0.1, 0.0]]), 2, "sliver")

@@ -10,7 +10,9 @@ import torch
 from mani_skill.utils.wrappers import RecordEpisode
 
 import maniskill_grpd  # noqa: F401  (registers)
+from maniskill_grpd.experts import make_expert
 from maniskill_grpd.learning.config import parse_options
+from maniskill_grpd.physics import square_outline
 from maniskill_grpd.tasks import CLOTH_SHAPES, GOAL_SHAPES, goal_curve, register_cloth_shape, register_goal_shape
 
 HOUSE = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.2, 0.45], [0.0, 0.3]])
@@ -51,6 +53,33 @@ def test_the_hole_of_a_hanging_cloth_is_where_it_is_asked_for():
     env.close()
 
 
+ARROW_HEAD = [[0.0, 0.2], [-0.15, -0.1], [0.0, -0.03], [0.15, -0.1]]
+
+
+@pytest.mark.parametrize("outline", [ARROW_HEAD, ARROW_HEAD[::-1]])
+def test_an_arrow_head_is_folded_whichever_way_round_it_is_given(outline):
+    """Clockwise outlines had no sides to fold in: an index error."""
+    env = make("ClothFolding-v1", 8, shapes=outline, num_threads=1)
+    expert = make_expert("ClothFolding-v1", env)
+    for _ in range(40):
+        *_, info = env.step(expert.act())
+    assert info["success"].all()
+    env.close()
+
+
+def test_the_share_that_moves_leaves_out_the_holes():
+    hole = square_outline(0.08) + [0.12, 0.19]
+    env = make("ClothFolding-v1", 32, shapes=square_outline(0.24) + 0.12, holes=[hole], resolution=400, num_threads=1)
+    task = env.unwrapped
+    model = task.models[0]
+    assert model.masses.sum() == pytest.approx(0.2 * (0.24**2 - 0.08**2), rel=0.01)
+    np.testing.assert_allclose(model.rest_positions[model.node_sets["hole_0"], :2].mean(axis=0), [0.0, 0.07], atol=1e-3)
+    share = (task.is_moving * torch.as_tensor(model.masses)).sum(1) / model.masses.sum()
+    assert share.min() > 0.25 - 0.03  # a row of nodes
+    assert share.max() < 0.5 + 0.03
+    env.close()
+
+
 def test_an_own_goal_curve_is_laid_on_the_table(own_shapes):
     for options in ({"goal_shape": STEP}, {"goal_shape": "step"}, {"shapes": [STEP]}):
         env = make("RopeShaping-v1", **options)
@@ -86,6 +115,13 @@ def test_the_command_line_takes_polygons_and_records_keep_plain_lists(tmp_path):
             r"shapes\[0\] must be a polygon .P >= 3, 2., got an array of shape .5, 3.",
         ),
         ("ClothFolding-v1", {"shapes": [[0.0, 0.0], [0.2, 0.2], [0.2, 0.0], [0.0, 0.3]]}, "must not intersect itself"),
+        ("ClothFolding-v1", {"holes": [square_outline(0.3)]}, "hole 0 must lie inside the outline"),
+        (
+            "ClothFolding-v1",
+            {"holes": square_outline(0.1)},
+            r"holes\[0\] must be a polygon .P >= 3, 2., got an array of shape .2,.",
+        ),
+        ("ClothFolding-v1", {"shapes": ARROW_HEAD, "num_grippers": 1}, "polygon of 4 points needs two grippers"),
         ("ClothFolding-v1", {"shapes": [None]}, r"shapes\[0\] must be a polygon"),
         ("ClothHanging-v1", {"hanger": "bar", "hole_center": (0.0, 0.0)}, "over a bar has no hole.*hole_center"),
         ("ClothHanging-v1", {"hole_center": (0.3, 0.0)}, "hole_center must be"),

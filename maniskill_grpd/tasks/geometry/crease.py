@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from scipy.spatial import ConvexHull
@@ -21,15 +23,49 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
     return vertices[turn > SMALLEST_TURN].astype(np.int64)
 
 
+def is_convex(outline: np.ndarray) -> bool:
+    """Return whether a counter-clockwise polygon (P, 2) turns right nowhere."""
+    forward = np.roll(outline, -1, axis=0) - outline
+    backward = np.roll(forward, 1, axis=0)
+    turn = np.arctan2(backward[:, 0] * forward[:, 1] - backward[:, 1] * forward[:, 0], (backward * forward).sum(1))
+    return bool((turn > -SMALLEST_TURN).all())
+
+
 def side_directions(outline: np.ndarray) -> np.ndarray:
     """Return the outward normals of the sides of a counter-clockwise polygon (P, 2), unit vectors (S, 2).
 
     Sides that lie within its convex hull, and those of the hull that bridge a notch, are left out: what is beyond a crease along
-    one of these is not carried by its two ends.
+    one of these is not carried by its two ends. Where all sides of the hull bridge notches, as in a star, these are the sides:
+    each of the two points beyond a crease is carried by its own tip.
     """
     corners = hull_corners(outline)
-    is_side = (np.roll(corners, -1) - corners) % len(outline) == 1
-    return _hull_normals(outline[corners])[is_side]
+    normals = _hull_normals(outline[corners])
+    is_side = np.array([_is_straight(outline, first, last) for first, last in zip(corners, np.roll(corners, -1), strict=True)])
+    return normals[is_side] if is_side.any() else normals
+
+
+def _is_straight(outline: np.ndarray, first: int, last: int) -> bool:
+    """Return whether the outline runs straight from one of its vertices to another."""
+    steps = (last - first) % len(outline)
+    between = outline[(first + np.arange(1, steps)) % len(outline)] - outline[first]
+    along = outline[last] - outline[first]
+    return bool((np.abs(between[:, 0] * along[1] - between[:, 1] * along[0]) <= SMALLEST_TURN * (along @ along)).all())
+
+
+def cut_open(outline: np.ndarray, holes: Sequence[np.ndarray]) -> np.ndarray:
+    """Return one polygon around a cloth with holes, (R, 2): slits of no width join them to the outline.
+
+    Integrals around it, as in `area_beyond`, leave out the holes, since each slit is passed in both directions.
+
+    Args:
+        outline: Counter-clockwise polygon, (P, 2) [m].
+        holes: Counter-clockwise polygons inside, each (H, 2) [m].
+    """
+    region = outline
+    for hole in holes:
+        around = np.concatenate([hole[:1], hole[::-1], region[:1]])
+        region = np.concatenate([region, region[:1], around])[:-1]
+    return region
 
 
 def corner_directions(outline: np.ndarray) -> np.ndarray:
