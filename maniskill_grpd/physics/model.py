@@ -72,11 +72,20 @@ class Model:
         return len(self.rest_positions)
 
     @property
+    def is_rope(self) -> bool:
+        """Whether the object is a line of nodes rather than a sheet of triangles."""
+        return len(self.faces) == 0
+
+    @property
+    def surface_edges(self) -> np.ndarray:
+        """Edges that one sees and touches, without springs across triangles, (E', 2) int32."""
+        return self.edges if self.mesh_edges is None else self.mesh_edges
+
+    @property
     def neighbors(self) -> np.ndarray:
         """Nodes that share an edge with each node, (N, K) int64, padded with -1."""
         lists: list[list[int]] = [[] for _ in range(self.num_nodes)]
-        edges = self.edges if self.mesh_edges is None else self.mesh_edges
-        for i, j in edges.tolist():
+        for i, j in self.surface_edges.tolist():
             lists[i].append(j)
             lists[j].append(i)
         width = max(len(nodes) for nodes in lists)

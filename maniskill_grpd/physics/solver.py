@@ -10,12 +10,12 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernels.data import Worlds
+from maniskill_grpd.physics.kernels.data import Timing, Worlds
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
-from maniskill_grpd.physics.upload import choose_features, upload_objects, upload_obstacles
+from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects
 from maniskill_grpd.physics.world_state import WORLD_TYPES, WorldState
 
 # Below this many worlds a second thread costs more than it brings.
@@ -347,27 +347,29 @@ class Solver(WorldState):
         """Record one launch per thread, each over every `num_threads`-th group of worlds."""
         device, block_dim = str(self.device), self._choose_block_dim()
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
-        obstacles, meshes = upload_obstacles(self.colliders, device)
+        colliders, meshes = upload_colliders(self.colliders, device)
         if self.colliders:
-            obstacles.positions = wp.from_torch(self.collider_positions, dtype=wp.vec3)
-            obstacles.rotations = wp.from_torch(self.collider_rotations, dtype=wp.vec4)
-            obstacles.sizes = wp.from_torch(self.collider_sizes, dtype=wp.vec3)
-            obstacles.active = wp.from_torch(self.collider_active, dtype=wp.bool)
+            colliders.positions = wp.from_torch(self.collider_positions, dtype=wp.vec3)
+            colliders.rotations = wp.from_torch(self.collider_rotations, dtype=wp.vec4)
+            colliders.sizes = wp.from_torch(self.collider_sizes, dtype=wp.vec3)
+            colliders.active = wp.from_torch(self.collider_active, dtype=wp.bool)
         worlds = Worlds()
         for name, dtype in WORLD_TYPES.items():
             setattr(worlds, name, wp.from_torch(getattr(self, name), dtype=dtype))
         touches = self._features.colliders or self._features.self_contact
         touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
         contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
-        time = [self.substeps, max(1, self.substeps // SEARCHES_PER_STEP), self.control_dt / self.substeps]
+        timing = Timing()
+        timing.num_substeps, timing.dt = self.substeps, self.control_dt / self.substeps
+        timing.search_interval = max(1, self.substeps // SEARCHES_PER_STEP)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
-        self._uploaded = [objects, obstacles, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
+        self._uploaded = [objects, colliders, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
         num_threads = min(num_threads, self._groups.count)
         return [
             wp.launch(
                 build_step_kernel(self._features, self._groups.in_lanes),
                 dim=(len(range(part, self._groups.count, num_threads)), block_dim),
-                inputs=[objects, obstacles, worlds, self._groups.data, touch, contacts, *time, part, num_threads],
+                inputs=[objects, colliders, worlds, self._groups.data, touch, contacts, timing, part, num_threads],
                 device=device,
                 block_dim=block_dim,
                 record_cmd=True,

@@ -1,4 +1,4 @@
-"""Object variants and obstacles laid out in memory as the kernel reads them."""
+"""Object variants and colliders laid out in memory as the kernel reads them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from maniskill_grpd.physics.colliders import MAX_POLYGON_VERTICES, Collider
-from maniskill_grpd.physics.kernels.data import Features, Objects, Obstacles
+from maniskill_grpd.physics.kernels.data import Colliders, Features, Objects
 from maniskill_grpd.physics.mesh.coloring import color_constraints
 from maniskill_grpd.physics.model import Model
 
@@ -20,7 +20,7 @@ EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
     """Return what the kernel must be able to do."""
     return Features(
-        ropes=any(len(model.faces) == 0 for model in models),
+        ropes=any(model.is_rope for model in models),
         bends=any(len(model.bends) > 0 for model in models),
         hinges=any(len(model.hinges) > 0 for model in models),
         tethers=any(np.isfinite(model.max_strain) for model in models),
@@ -65,16 +65,16 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.hinge_ranges, objects.hinge_colors, objects.hinges = array(ranges, int), array(colors, int), array(nodes, wp.vec4i)
     objects.hinge_weights, objects.hinge_compliances = array(weights, wp.vec4), array(compliances, float)
 
-    mesh_edges = [(model.edges if model.mesh_edges is None else model.mesh_edges,) for model in models]
-    ranges, colors, (nodes,) = _by_color(mesh_edges)
+    surface_edges = [(model.surface_edges,) for model in models]
+    ranges, colors, (nodes,) = _by_color(surface_edges)
     objects.mesh_edge_ranges, objects.mesh_edge_colors = array(ranges, int), array(colors, int)
     objects.mesh_edges = array(nodes, wp.vec2i)
 
     elements = [_elements(model) for model in models]
     objects.element_starts = array(_starts([len(nodes) for nodes in elements]), int)
     objects.elements = array(np.concatenate(elements), wp.vec3i)
-    objects.owner_counts = array([model.num_nodes - (len(model.faces) == 0) for model in models], int)
-    objects.is_rope = array([len(model.faces) == 0 for model in models], wp.bool)
+    objects.owner_counts = array([model.num_nodes - model.is_rope for model in models], int)
+    objects.is_rope = array([model.is_rope for model in models], wp.bool)
     lengths = [float(model.rest_lengths.mean()) for model in models]
     exclusions = [
         EXCLUSION_RADII * model.radius + EXCLUSION_EDGES * length for model, length in zip(models, lengths, strict=True)
@@ -84,7 +84,7 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     return objects
 
 
-def upload_obstacles(colliders: Sequence[Collider], device: str) -> tuple[Obstacles, list[wp.Mesh]]:
+def upload_colliders(colliders: Sequence[Collider], device: str) -> tuple[Colliders, list[wp.Mesh]]:
     """Hand the shapes of the colliders to Warp. The meshes live as long as the list that is returned with them."""
     polygons = np.zeros((len(colliders), MAX_POLYGON_VERTICES, 2), dtype=np.float32)
     meshes: list[wp.Mesh] = []
@@ -96,13 +96,13 @@ def upload_obstacles(colliders: Sequence[Collider], device: str) -> tuple[Obstac
             points = wp.array(collider.vertices, dtype=wp.vec3, device=device)
             meshes.append(wp.Mesh(points, wp.array(collider.faces.ravel(), dtype=int, device=device)))
             handles[index] = meshes[-1].id
-    obstacles = Obstacles()
-    obstacles.kinds = wp.array([int(collider.kind) for collider in colliders], dtype=int, device=device)
+    data = Colliders()
+    data.kinds = wp.array([int(collider.kind) for collider in colliders], dtype=int, device=device)
     sizes = [0 if collider.polygon is None else len(collider.polygon) for collider in colliders]
-    obstacles.polygon_sizes = wp.array(sizes, dtype=int, device=device)
-    obstacles.polygons = wp.array(polygons, dtype=wp.vec2, device=device)
-    obstacles.meshes = wp.array(handles, dtype=wp.uint64, device=device)
-    return obstacles, meshes
+    data.polygon_sizes = wp.array(sizes, dtype=int, device=device)
+    data.polygons = wp.array(polygons, dtype=wp.vec2, device=device)
+    data.meshes = wp.array(handles, dtype=wp.uint64, device=device)
+    return data, meshes
 
 
 def _starts(counts: Sequence[int]) -> np.ndarray:
@@ -159,7 +159,7 @@ def _elements(model: Model) -> np.ndarray:
 
     Triangles are sorted so that those that follow each other lie together, in blocks rather than in rows.
     """
-    if len(model.faces) == 0:
+    if model.is_rope:
         return model.edges[:, [0, 1, 1]]
     centroids = model.rest_positions[model.faces].mean(axis=1)
     return model.faces[np.argsort(_z_order(centroids[:, :2]), kind="stable")]

@@ -1,9 +1,11 @@
-"""Projection of one bending constraint in a group of worlds, called by the fused kernel."""
+"""Projection of the bending constraints of a group of worlds, called by the fused kernel."""
 
 from typing import Any
 
 import warp as wp
 
+from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.data import Objects, Thread
 from maniskill_grpd.physics.kernels.impulses import push_node
 from maniskill_grpd.physics.kernels.lanes import add, div, mul, spread, sub  # noqa: F401 (operators on lanes)
 
@@ -36,3 +38,21 @@ def project_hinge(group: int, nodes: wp.vec4i, c: wp.vec4, compliance: float, gr
     impulse = curvature * share
     for k in range(4):
         push_node(group, nodes[k], impulse * c[k], groups)
+
+
+@wp.func
+def project_bends(thread: Thread, objects: Objects, groups: Any):
+    """Project the triples of ropes and of the rows of square grids, one colour after the other."""
+    for color in range(objects.bend_ranges[thread.variant], objects.bend_ranges[thread.variant + 1] - 1):
+        for c in range(objects.bend_colors[color] + thread.first, objects.bend_colors[color + 1], thread.stride):
+            project_bend(thread.group, objects.bends[c], objects.bend_compliances[c], groups)
+        synchronize_block()
+
+
+@wp.func
+def project_hinges(thread: Thread, objects: Objects, groups: Any):
+    """Project the hinges between triangles, one colour after the other."""
+    for color in range(objects.hinge_ranges[thread.variant], objects.hinge_ranges[thread.variant + 1] - 1):
+        for c in range(objects.hinge_colors[color] + thread.first, objects.hinge_colors[color + 1], thread.stride):
+            project_hinge(thread.group, objects.hinges[c], objects.hinge_weights[c], objects.hinge_compliances[c], groups)
+        synchronize_block()

@@ -5,7 +5,6 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.kernels.barrier import synchronize_block
-from maniskill_grpd.physics.kernels.collider_contacts import project_colliders, project_edge
 from maniskill_grpd.physics.kernels.contact_search import (
     BLOCK,
     bound_block,
@@ -15,7 +14,7 @@ from maniskill_grpd.physics.kernels.contact_search import (
     register_contacts,
     sort_contacts,
 )
-from maniskill_grpd.physics.kernels.data import Objects, Obstacles, SelfContacts, Touch, Worlds
+from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Timing, Touch, Worlds
 from maniskill_grpd.physics.kernels.lanes import pick, put
 from maniskill_grpd.physics.kernels.self_contact import SLOTS, compute_contact_impulse, gather_contact_impulses
 
@@ -30,194 +29,106 @@ def prepare_touch(group: int, node: int, groups: Any, touch: Touch):
 
 
 @wp.func
-def take_out_of_lanes(group: int, thread: int, threads: int, num_nodes: int, groups: Any, touch: Touch):
+def take_out_of_lanes(thread: Thread, num_nodes: int, groups: Any, touch: Touch):
     """Copy where the nodes are and where they were before the substep."""
-    for node in range(thread, num_nodes, threads):
-        for lane in range(groups.counts[group]):
-            world = groups.members[group, lane]
-            touch.positions[world, node] = pick(groups.positions, group, node, lane)
-            touch.previous[world, node] = pick(groups.previous, group, node, lane)
+    for node in range(thread.first, num_nodes, thread.stride):
+        for lane in range(groups.counts[thread.group]):
+            world = groups.members[thread.group, lane]
+            touch.positions[world, node] = pick(groups.positions, thread.group, node, lane)
+            touch.previous[world, node] = pick(groups.previous, thread.group, node, lane)
     synchronize_block()
 
 
 @wp.func
-def put_into_lanes(group: int, thread: int, threads: int, num_nodes: int, groups: Any, touch: Touch):
+def put_into_lanes(thread: Thread, num_nodes: int, groups: Any, touch: Touch):
     """Copy positions back."""
-    for node in range(thread, num_nodes, threads):
-        for lane in range(groups.counts[group]):
-            put(groups.positions, group, node, lane, touch.positions[groups.members[group, lane], node])
+    for node in range(thread.first, num_nodes, thread.stride):
+        for lane in range(groups.counts[thread.group]):
+            put(groups.positions, thread.group, node, lane, touch.positions[groups.members[thread.group, lane], node])
     synchronize_block()
 
 
 @wp.func
-def add_reactions(group: int, thread: int, threads: int, num_nodes: int, groups: Any, touch: Touch):
+def add_reactions(thread: Thread, num_nodes: int, groups: Any, touch: Touch):
     """Add what contacts did to held nodes to what constraints did."""
-    for node in range(thread, num_nodes, threads):
-        for lane in range(groups.counts[group]):
-            reaction = touch.reactions[groups.members[group, lane], node]
-            put(groups.reactions, group, node, lane, pick(groups.reactions, group, node, lane) + reaction)
+    for node in range(thread.first, num_nodes, thread.stride):
+        for lane in range(groups.counts[thread.group]):
+            reaction = touch.reactions[groups.members[thread.group, lane], node]
+            put(groups.reactions, thread.group, node, lane, pick(groups.reactions, thread.group, node, lane) + reaction)
     synchronize_block()
 
 
 @wp.func
-def search_world(
-    world: int,
-    thread: int,
-    threads: int,
-    search_interval: int,
-    dt: float,
-    variant: int,
-    objects: Objects,
-    touch: Touch,
-    contacts: SelfContacts,
-):
-    """Find what may touch until the next search, and tell every node of its contacts."""
-    num_nodes = objects.node_counts[variant]
-    first_element = objects.element_starts[variant]
-    num_elements = objects.element_starts[variant + 1] - first_element
-    for node in range(thread, num_nodes, threads):
-        contacts.num_of_node[world, node] = 0
-    for element in range(thread, num_elements, threads):
-        bound_element(
-            world, element, first_element, objects.is_rope[variant], objects.elements, touch.positions, contacts.element_spheres
-        )
+def bound_elements(thread: Thread, world: int, objects: Objects, touch: Touch, contacts: SelfContacts):
+    """Compute the spheres about all elements, blocks of elements and clusters of blocks of one world."""
+    first_element = objects.element_starts[thread.variant]
+    num_elements = objects.element_starts[thread.variant + 1] - first_element
+    for element in range(thread.first, num_elements, thread.stride):
+        bound_element(world, element, thread.variant, objects, touch, contacts)
     synchronize_block()
     num_blocks = (num_elements + BLOCK - 1) // BLOCK
-    for block in range(thread, num_blocks, threads):
-        bound_block(
-            world,
-            block,
-            first_element,
-            num_elements,
-            objects.elements,
-            touch.velocities,
-            contacts.element_spheres,
-            contacts.block_spheres,
-            contacts.block_motions,
-        )
+    for block in range(thread.first, num_blocks, thread.stride):
+        bound_block(world, block, first_element, num_elements, objects, touch, contacts)
     synchronize_block()
-    for cluster in range(thread, (num_blocks + BLOCK - 1) // BLOCK, threads):
+    for cluster in range(thread.first, (num_blocks + BLOCK - 1) // BLOCK, thread.stride):
         contacts.cluster_spheres[world, cluster] = bound_spheres(world, cluster, num_blocks, contacts.block_spheres)
     synchronize_block()
-    for owner in range(thread, objects.owner_counts[variant], threads):
-        dropped = find_candidates(
-            world,
-            owner,
-            first_element,
-            num_elements,
-            objects.is_rope[variant],
-            objects.radii[variant],
-            objects.exclusions[variant],
-            2.0 * float(search_interval) * dt,
-            variant,
-            objects.elements,
-            contacts.element_spheres,
-            objects.geodesics,
-            touch.positions,
-            touch.velocities,
-            contacts.nodes,
-            contacts.sides,
-            contacts.gaps,
-            contacts.counts,
-            contacts.block_spheres,
-            contacts.block_motions,
-            contacts.cluster_spheres,
-        )
-        dropped += register_contacts(world, owner, contacts.nodes, contacts.counts, contacts.of_node, contacts.num_of_node)
+
+
+@wp.func
+def search_world(thread: Thread, world: int, timing: Timing, objects: Objects, touch: Touch, contacts: SelfContacts):
+    """Find what may touch until the next search, and tell every node of its contacts."""
+    num_nodes = objects.node_counts[thread.variant]
+    for node in range(thread.first, num_nodes, thread.stride):
+        contacts.num_of_node[world, node] = 0
+    bound_elements(thread, world, objects, touch, contacts)
+    duration = 2.0 * float(timing.search_interval) * timing.dt
+    for owner in range(thread.first, objects.owner_counts[thread.variant], thread.stride):
+        dropped = find_candidates(world, owner, thread.variant, duration, objects, touch, contacts)
+        dropped += register_contacts(world, owner, contacts)
         if dropped > 0:
             wp.atomic_add(contacts.dropped, world, dropped)
     synchronize_block()
-    for node in range(thread, num_nodes, threads):
-        sort_contacts(world, node, contacts.of_node, contacts.num_of_node)
+    for node in range(thread.first, num_nodes, thread.stride):
+        sort_contacts(world, node, contacts)
     synchronize_block()
 
 
 @wp.func
 def find_self_contacts(
-    group: int,
-    thread: int,
-    threads: int,
-    search_interval: int,
-    dt: float,
-    variant: int,
-    objects: Objects,
-    worlds: Worlds,
-    groups: Any,
-    touch: Touch,
-    contacts: SelfContacts,
+    thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: Any, touch: Touch, contacts: SelfContacts
 ):
     """Let all worlds of a group search for contacts."""
-    num_nodes = objects.node_counts[variant]
+    group = thread.group
     for lane in range(groups.counts[group]):
         world = groups.members[group, lane]
-        for node in range(thread, num_nodes, threads):
+        for node in range(thread.first, objects.node_counts[thread.variant], thread.stride):
             touch.positions[world, node] = pick(groups.positions, group, node, lane)
             touch.velocities[world, node] = pick(groups.velocities, group, node, lane)
         synchronize_block()
         if not worlds.frozen[world]:
-            search_world(world, thread, threads, search_interval, dt, variant, objects, touch, contacts)
+            search_world(thread, world, timing, objects, touch, contacts)
 
 
 @wp.func
-def project_self_contacts(
-    world: int, thread: int, threads: int, variant: int, friction: float, objects: Objects, touch: Touch, contacts: SelfContacts
-):
+def project_self_contacts(thread: Thread, world: int, friction: float, objects: Objects, touch: Touch, contacts: SelfContacts):
     """Keep the layers of one object apart: impulses from the same positions, then every node gathers those of its contacts."""
+    variant = thread.variant
     thickness = 2.0 * objects.radii[variant]
-    for node in range(thread, objects.node_counts[variant], threads):
+    for node in range(thread.first, objects.node_counts[variant], thread.stride):
         contacts.num_active[world, node] = 0
     synchronize_block()
-    for owner in range(thread, objects.owner_counts[variant], threads):
+    for owner in range(thread.first, objects.owner_counts[variant], thread.stride):
         for index in range(contacts.counts[world, owner]):
-            compute_contact_impulse(
-                world,
-                owner * SLOTS + index,
-                objects.is_rope[variant],
-                thickness,
-                friction,
-                contacts.nodes,
-                contacts.sides,
-                touch.weights,
-                touch.positions,
-                touch.previous,
-                contacts.weights,
-                contacts.impulses,
-                contacts.num_active,
-            )
+            slot = owner * SLOTS + index
+            compute_contact_impulse(world, slot, objects.is_rope[variant], thickness, friction, touch, contacts)
     synchronize_block()
-    for node in range(thread, objects.node_counts[variant], threads):
+    for node in range(thread.first, objects.node_counts[variant], thread.stride):
         if contacts.num_active[world, node] > 0:
-            impulse = gather_contact_impulses(
-                world,
-                node,
-                contacts.of_node,
-                contacts.num_of_node,
-                contacts.nodes,
-                contacts.weights,
-                contacts.impulses,
-                contacts.num_active,
-            )
+            impulse = gather_contact_impulses(world, node, contacts)
             weight = touch.weights[world, node]
             if weight > 0.0:
                 touch.positions[world, node] = touch.positions[world, node] + impulse * weight
             else:
                 touch.reactions[world, node] = touch.reactions[world, node] + impulse
-    synchronize_block()
-
-
-@wp.func
-def project_obstacles(
-    world: int, thread: int, threads: int, variant: int, friction: float, objects: Objects, obstacles: Obstacles, touch: Touch
-):
-    """Keep edges, then nodes out of all colliders."""
-    radius = objects.radii[variant]
-    for color in range(objects.mesh_edge_ranges[variant], objects.mesh_edge_ranges[variant + 1] - 1):
-        for c in range(objects.mesh_edge_colors[color] + thread, objects.mesh_edge_colors[color + 1], threads):
-            project_edge(world, objects.mesh_edges[c], radius, friction, obstacles, touch)
-        synchronize_block()
-    for node in range(thread, objects.node_counts[variant], threads):
-        if touch.weights[world, node] > 0.0:
-            touch.positions[world, node] = project_colliders(
-                world, touch.positions[world, node], touch.previous[world, node], radius, friction, obstacles
-            )
     synchronize_block()

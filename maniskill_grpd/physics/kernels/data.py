@@ -1,4 +1,4 @@
-"""What the fused kernel works on: features, object variants, obstacles, worlds and the groups in which worlds are advanced.
+"""What the fused kernel works on: features, object variants, colliders, worlds and the groups in which worlds are advanced.
 
 Annotations stay real objects here (no postponed evaluation), because Warp reads them.
 """
@@ -8,6 +8,35 @@ from dataclasses import dataclass
 import warp as wp
 
 from maniskill_grpd.physics.kernels.lanes import Numbers, Vectors
+
+
+@wp.struct
+class Thread:
+    """What one thread does: of the group of its block it takes every `stride`-th node, edge, ... from `first` on."""
+
+    group: int
+    variant: int  # of all worlds of the group
+    first: int
+    stride: int
+
+
+@wp.struct
+class Line:
+    """Where the edges and nodes of a line are in `Objects`, and what is computed for them in the scratch of a group."""
+
+    first_edge: int
+    first_node: int
+    first_scratch: int
+    num_edges: int
+
+
+@wp.struct
+class Timing:
+    """How a control step is divided."""
+
+    num_substeps: int
+    search_interval: int  # substeps from one search for self-contacts to the next
+    dt: float  # duration of a substep [s]
 
 
 @dataclass(frozen=True)
@@ -50,7 +79,7 @@ class Objects:
     hinge_weights: wp.array(dtype=wp.vec4)
     hinge_compliances: wp.array(dtype=float)
     geodesics: wp.array3d(dtype=float)  # through the material between all nodes, by variant
-    # Edges that touch obstacles with all their length.
+    # Edges that touch colliders with all their length.
     mesh_edge_ranges: wp.array(dtype=int)
     mesh_edge_colors: wp.array(dtype=int)
     mesh_edges: wp.array(dtype=wp.vec2i)
@@ -63,7 +92,7 @@ class Objects:
 
 
 @wp.struct
-class Obstacles:
+class Colliders:
     """The K colliders and their pose, size and switch in every world."""
 
     kinds: wp.array(dtype=int)

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.colliders import MESH, signed_distance
-from maniskill_grpd.physics.kernels.data import Obstacles
+from maniskill_grpd.physics.kernels.colliders import MESH, collider_distance
+from maniskill_grpd.physics.kernels.data import Colliders, Worlds
 
 # A world is frozen when a coordinate is not finite or has left this range [m]: past it float32 cannot hold millimetres.
 POSITION_LIMIT = wp.constant(1.0e4)
@@ -27,7 +27,7 @@ def is_valid(p: wp.vec3) -> bool:
 
 
 @wp.func
-def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_targets: wp.array2d(dtype=wp.vec3)) -> bool:
+def limit_gripper_targets(world: int, worlds: Worlds) -> bool:
     """Draw grippers together that would pull the object beyond its own length; return whether any were.
 
     Kinematic grippers have unlimited force and would tear any rope. Each pair that is further apart than its leash moves by half
@@ -36,15 +36,15 @@ def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_
     drawn = bool(False)
     for _sweep in range(LEASH_SWEEPS):
         num_taut = int(0)
-        for a in range(gripper_targets.shape[1]):
+        for a in range(worlds.gripper_targets.shape[1]):
             for b in range(a):
-                difference = gripper_targets[world, a] - gripper_targets[world, b]
+                difference = worlds.gripper_targets[world, a] - worlds.gripper_targets[world, b]
                 distance = wp.length(difference)
-                if distance > leashes[world, a, b] * (1.0 + LEASH_TOLERANCE):
+                if distance > worlds.leashes[world, a, b] * (1.0 + LEASH_TOLERANCE):
                     num_taut += 1
-                    correction = difference * (0.5 * (distance - leashes[world, a, b]) / distance)
-                    gripper_targets[world, a] = gripper_targets[world, a] - correction
-                    gripper_targets[world, b] = gripper_targets[world, b] + correction
+                    correction = difference * (0.5 * (distance - worlds.leashes[world, a, b]) / distance)
+                    worlds.gripper_targets[world, a] = worlds.gripper_targets[world, a] - correction
+                    worlds.gripper_targets[world, b] = worlds.gripper_targets[world, b] + correction
         if num_taut == 0:
             break
         drawn = True
@@ -52,26 +52,7 @@ def limit_gripper_targets(world: int, leashes: wp.array3d(dtype=float), gripper_
 
 
 @wp.func
-def obstacle_distance(world: int, k: int, point: wp.vec3, obstacles: Obstacles) -> wp.vec4:
-    """Return (outward normal, signed distance) of a collider at a point of its world."""
-    wxyz = obstacles.rotations[world, k]
-    rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
-    local = wp.quat_rotate_inv(rotation, point - obstacles.positions[world, k])
-    at = signed_distance(
-        local,
-        k,
-        obstacles.kinds[k],
-        obstacles.sizes[world, k],
-        obstacles.polygon_sizes[k],
-        obstacles.polygons,
-        obstacles.meshes[k],
-    )
-    normal = wp.quat_rotate(rotation, wp.vec3(at[0], at[1], at[2]))
-    return wp.vec4(normal[0], normal[1], normal[2], at[3])
-
-
-@wp.func
-def march(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles: Obstacles) -> wp.vec4:
+def march(world: int, start: wp.vec3, motion: wp.vec3, margin: float, colliders: Colliders) -> wp.vec4:
     """Return the normal of the first surface that a point meets on a straight way, and the fraction of the way until there.
 
     Along a line the distance to a convex collider is a convex function of the fraction: its tangent lies below it, so a Newton
@@ -85,16 +66,16 @@ def march(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles:
         if progress >= 1.0 or arrived:
             break
         free = 1.0 - progress
-        for k in range(obstacles.kinds.shape[0]):
-            if obstacles.active[world, k]:
-                at = obstacle_distance(world, k, start + motion * progress, obstacles)
+        for k in range(colliders.kinds.shape[0]):
+            if colliders.active[world, k]:
+                at = collider_distance(world, k, start + motion * progress, colliders)
                 outward = wp.vec3(at[0], at[1], at[2])
                 approach = -wp.dot(outward, motion)
                 gap = at[3] - margin
                 if approach > 0.0 and gap <= ARRIVAL * margin:
                     arrived = True
                     normal = outward
-                elif obstacles.kinds[k] == MESH:
+                elif colliders.kinds[k] == MESH:
                     free = wp.min(free, wp.max(gap, LEAST_STEP * margin) / travel)
                 elif approach > 0.0:
                     free = wp.min(free, gap / approach)
@@ -106,7 +87,7 @@ def march(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles:
 
 
 @wp.func
-def stop_motion(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obstacles: Obstacles) -> wp.vec3:
+def stop_motion(world: int, start: wp.vec3, motion: wp.vec3, margin: float, colliders: Colliders) -> wp.vec3:
     """Return how far a point gets that stops at colliders and slides along them without friction.
 
     The way there is straight in the end, as that of a held node is within a control step.
@@ -114,29 +95,19 @@ def stop_motion(world: int, start: wp.vec3, motion: wp.vec3, margin: float, obst
     moved = wp.vec3(0.0, 0.0, 0.0)
     rest = motion
     for _slide in range(SLIDES):
-        met = march(world, start + moved, rest, margin, obstacles)
+        met = march(world, start + moved, rest, margin, colliders)
         moved += rest * met[3]
         if met[3] >= 1.0:
             break
         rest *= 1.0 - met[3]
         normal = wp.vec3(met[0], met[1], met[2])
         rest -= normal * wp.min(wp.dot(normal, rest), 0.0)
-    straight = march(world, start, moved, margin, obstacles)
+    straight = march(world, start, moved, margin, colliders)
     return moved * straight[3]
 
 
 @wp.func
-def stop_grippers(
-    world: int,
-    margin: float,
-    obstacles: Obstacles,
-    leashes: wp.array3d(dtype=float),
-    gripper_nodes: wp.array2d(dtype=int),
-    holder: wp.array2d(dtype=int),
-    hold_offsets: wp.array2d(dtype=wp.vec3),
-    gripper_positions: wp.array2d(dtype=wp.vec3),
-    gripper_targets: wp.array2d(dtype=wp.vec3),
-):
+def stop_grippers(world: int, margin: float, colliders: Colliders, worlds: Worlds):
     """Move targets to where colliders let the node that a gripper holds, or else the gripper itself, come at most.
 
     A gripper that is stopped can leave another one at the end of its leash, so both limits take turns. Where they find no
@@ -144,21 +115,21 @@ def stop_grippers(
     """
     agreed = bool(False)
     for _round in range(STOP_ROUNDS):
-        for gripper in range(gripper_targets.shape[1]):
-            start = gripper_positions[world, gripper]
-            motion = gripper_targets[world, gripper] - start
+        for gripper in range(worlds.gripper_targets.shape[1]):
+            start = worlds.gripper_positions[world, gripper]
+            motion = worlds.gripper_targets[world, gripper] - start
             pivot = start
-            node = gripper_nodes[world, gripper]
-            if node >= 0 and holder[world, wp.max(node, 0)] == gripper:
-                pivot += hold_offsets[world, node]
+            node = worlds.gripper_nodes[world, gripper]
+            if node >= 0 and worlds.holder[world, wp.max(node, 0)] == gripper:
+                pivot += worlds.hold_offsets[world, node]
             if is_valid(pivot + motion):  # a target that is not freezes the world
-                stopped = stop_motion(world, pivot, motion, margin, obstacles)
+                stopped = stop_motion(world, pivot, motion, margin, colliders)
                 if wp.length_sq(stopped - motion) > 0.0:
-                    gripper_targets[world, gripper] = start + stopped
-        if not limit_gripper_targets(world, leashes, gripper_targets):
+                    worlds.gripper_targets[world, gripper] = start + stopped
+        if not limit_gripper_targets(world, worlds):
             agreed = True
             break
     if not agreed:
-        for gripper in range(gripper_targets.shape[1]):
-            if is_valid(gripper_targets[world, gripper]):
-                gripper_targets[world, gripper] = gripper_positions[world, gripper]
+        for gripper in range(worlds.gripper_targets.shape[1]):
+            if is_valid(worlds.gripper_targets[world, gripper]):
+                worlds.gripper_targets[world, gripper] = worlds.gripper_positions[world, gripper]

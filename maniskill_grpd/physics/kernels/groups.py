@@ -5,13 +5,10 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.kernels.barrier import synchronize_block
-from maniskill_grpd.physics.kernels.colliders import resolve_contact
-from maniskill_grpd.physics.kernels.data import Worlds
+from maniskill_grpd.physics.kernels.collider_contacts import resolve_contact
+from maniskill_grpd.physics.kernels.data import Objects, Thread, Timing, Worlds
 from maniskill_grpd.physics.kernels.grippers import is_valid
 from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, pick, put, spread, sub  # noqa: F401 (operators on lanes)
-
-# Length of the tether of a gripper that holds nothing [m].
-NO_TETHER = wp.constant(1.0e9)
 
 
 @wp.func
@@ -75,33 +72,6 @@ def load_node(group: int, node: int, worlds: Worlds, groups: Any):
 
 
 @wp.func
-def load_tethers(group: int, node: int, max_stretch: float, geodesics: wp.array3d(dtype=float), worlds: Worlds, groups: Any):
-    """Fetch how far a node may be from what each gripper holds."""
-    for gripper in range(groups.has_tethers.shape[1]):
-        has_tethers = bool(False)
-        for lane in range(groups.members.shape[1]):
-            world = groups.members[group, lane]
-            held = worlds.gripper_nodes[world, gripper]
-            length = float(NO_TETHER)
-            if held >= 0:
-                has_tethers = True
-                length = max_stretch * geodesics[worlds.variants[world], held, node]
-            put(groups.tether_lengths[gripper], group, node, lane, length)
-        zero = spread(groups.tether_impulses[gripper, group, node], 0.0)
-        groups.tether_impulses[gripper, group, node] = zero
-        if node == 0:
-            groups.has_tethers[group, gripper] = has_tethers
-
-
-@wp.func
-def place_tether_ends(group: int, gripper: int, worlds: Worlds, groups: Any):
-    """Fetch where the nodes are that a gripper holds."""
-    for lane in range(groups.members.shape[1]):
-        held = wp.max(worlds.gripper_nodes[groups.members[group, lane], gripper], 0)
-        put(groups.tether_ends, group, gripper, lane, pick(groups.positions, group, held, lane))
-
-
-@wp.func
 def predict_node(group: int, node: int, dt: float, progress: float, groups: Any):
     """Let a free node fly; a held one follows its gripper along a straight line."""
     position = groups.positions[group, node]
@@ -132,18 +102,7 @@ def settle_node(group: int, node: int, radius: float, dt: float, groups: Any):
 
 
 @wp.func
-def sum_tethers(group: int, gripper: int, num_nodes: int, groups: Any):
-    """Add the impulses of a gripper's tethers to its total."""
-    total = spread(groups.pulls[group, gripper], 0.0)
-    for node in range(num_nodes):
-        total = total + groups.tether_impulses[gripper, group, node]
-    groups.pulls[group, gripper] = total
-
-
-@wp.func
-def mean_force(
-    group: int, lane: int, gripper: int, num_nodes: int, num_substeps: int, dt: float, worlds: Worlds, groups: Any
-) -> wp.vec3:
+def mean_force(group: int, lane: int, gripper: int, num_nodes: int, timing: Timing, worlds: Worlds, groups: Any) -> wp.vec3:
     """Return the force on a gripper: impulses over the step and the weight of what it holds. Impulses are force * dt^2 here."""
     world = groups.members[group, lane]
     total = pick(groups.pulls, group, gripper, lane)
@@ -151,36 +110,38 @@ def mean_force(
         if groups.is_held[group, node] and worlds.holder[world, node] == gripper:
             total += pick(groups.reactions, group, node, lane)
             if worlds.inverse_masses[world, node] > 0.0:
-                total += worlds.gravity[world] * (dt * dt * float(num_substeps) / worlds.inverse_masses[world, node])
-    return total * (1.0 / (dt * dt) / float(num_substeps))
+                total += worlds.gravity[world] * (
+                    timing.dt * timing.dt * float(timing.num_substeps) / worlds.inverse_masses[world, node]
+                )
+    return total * (1.0 / (timing.dt * timing.dt) / float(timing.num_substeps))
 
 
 @wp.func
-def store_world(
-    group: int, lane: int, thread: int, threads: int, num_nodes: int, num_substeps: int, dt: float, worlds: Worlds, groups: Any
-):
+def store_world(thread: Thread, lane: int, timing: Timing, objects: Objects, worlds: Worlds, groups: Any):
     """Write the state of a world back; a world that blew up keeps its last valid state and rests there until it is reset."""
+    group = thread.group
+    num_nodes = objects.node_counts[thread.variant]
     world = groups.members[group, lane]
     was_frozen = worlds.frozen[world]
     synchronize_block()
-    for node in range(thread, num_nodes, threads):
+    for node in range(thread.first, num_nodes, thread.stride):
         if not is_valid(pick(groups.positions, group, node, lane)):
             worlds.frozen[world] = True
-    for gripper in range(thread, worlds.gripper_targets.shape[1], threads):
+    for gripper in range(thread.first, worlds.gripper_targets.shape[1], thread.stride):
         if not is_valid(worlds.gripper_targets[world, gripper]):
             worlds.frozen[world] = True
     synchronize_block()
     if worlds.frozen[world]:
         if not was_frozen:
-            for node in range(thread, num_nodes, threads):
+            for node in range(thread.first, num_nodes, thread.stride):
                 worlds.velocities[world, node] = wp.vec3(0.0, 0.0, 0.0)
-            for gripper in range(thread, worlds.gripper_targets.shape[1], threads):
+            for gripper in range(thread.first, worlds.gripper_targets.shape[1], thread.stride):
                 worlds.gripper_targets[world, gripper] = worlds.gripper_positions[world, gripper]
                 worlds.gripper_forces[world, gripper] = wp.vec3(0.0, 0.0, 0.0)
     else:
-        for node in range(thread, num_nodes, threads):
+        for node in range(thread.first, num_nodes, thread.stride):
             worlds.positions[world, node] = pick(groups.positions, group, node, lane)
             worlds.velocities[world, node] = pick(groups.velocities, group, node, lane)
-        for gripper in range(thread, worlds.gripper_targets.shape[1], threads):
+        for gripper in range(thread.first, worlds.gripper_targets.shape[1], thread.stride):
             worlds.gripper_positions[world, gripper] = worlds.gripper_targets[world, gripper]
-            worlds.gripper_forces[world, gripper] = mean_force(group, lane, gripper, num_nodes, num_substeps, dt, worlds, groups)
+            worlds.gripper_forces[world, gripper] = mean_force(group, lane, gripper, num_nodes, timing, worlds, groups)

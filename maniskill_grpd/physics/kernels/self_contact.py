@@ -9,6 +9,8 @@ within a substep is brought back.
 
 import warp as wp
 
+from maniskill_grpd.physics.kernels.data import SelfContacts, Touch
+
 # Candidates that one node or segment can own, and contacts that one node can take part in.
 SLOTS = wp.constant(16)
 MAX_CONTACTS_PER_NODE = wp.constant(192)
@@ -131,40 +133,28 @@ def is_apart(world: int, nodes: wp.vec4i, is_rope: bool, thickness: float, posit
 
 @wp.func
 def compute_contact_impulse(
-    world: int,
-    slot: int,
-    is_rope: bool,
-    thickness: float,
-    friction: float,
-    contact_nodes: wp.array2d(dtype=wp.vec4i),
-    contact_sides: wp.array2d(dtype=float),
-    weights: wp.array2d(dtype=float),
-    positions: wp.array2d(dtype=wp.vec3),
-    previous: wp.array2d(dtype=wp.vec3),
-    contact_weights: wp.array2d(dtype=wp.vec4),
-    contact_impulses: wp.array2d(dtype=wp.vec3),
-    num_active: wp.array2d(dtype=int),
+    world: int, slot: int, is_rope: bool, thickness: float, friction: float, touch: Touch, contacts: SelfContacts
 ):
     """Compute the impulse of C = side * n . gap - thickness >= 0 and of the friction against the motion along the surface.
 
     Near the rim of a triangle, or the end of a segment, the gap itself is the normal; in the middle the remembered side tells on
     which side of the surface the point belongs.
     """
-    nodes = contact_nodes[world, slot]
-    contact_impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
-    if is_apart(world, nodes, is_rope, thickness, positions):
+    nodes = contacts.nodes[world, slot]
+    contacts.impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
+    if is_apart(world, nodes, is_rope, thickness, touch.positions):
         return
-    weight = closest_weights(world, nodes, is_rope, positions)
-    gap = barycentric_gap(weight, nodes, world, positions)
+    weight = closest_weights(world, nodes, is_rope, touch.positions)
+    gap = barycentric_gap(weight, nodes, world, touch.positions)
     length = wp.length(gap)
-    contact_weights[world, slot] = weight
-    normal = facing(world, nodes, is_rope, positions)
+    contacts.weights[world, slot] = weight
+    normal = facing(world, nodes, is_rope, touch.positions)
     area = wp.length(normal)
     is_inside = weight[1] < -1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
     if is_rope:
         is_inside = weight[0] > 1.0e-4 and weight[1] > 1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
     if is_inside and area > 1.0e-12:
-        normal = normal * (contact_sides[world, slot] / area)
+        normal = normal * (contacts.sides[world, slot] / area)
     elif length > 1.0e-9:
         normal = gap / length
     else:
@@ -172,42 +162,33 @@ def compute_contact_impulse(
     depth = thickness - wp.dot(normal, gap)
     inverse_mass = float(0.0)
     for k in range(4):
-        inverse_mass += weights[world, nodes[k]] * weight[k] * weight[k]
+        inverse_mass += touch.weights[world, nodes[k]] * weight[k] * weight[k]
     if depth <= 0.0 or inverse_mass <= 0.0:
         return
-    moved = gap - barycentric_gap(weight, nodes, world, previous)
+    moved = gap - barycentric_gap(weight, nodes, world, touch.previous)
     tangential = moved - normal * wp.dot(moved, normal)
     slip = wp.length(tangential)
     cancelled = float(0.0)
     if slip > 0.0:
         cancelled = wp.min(1.0, friction * depth / slip)
-    contact_impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
+    contacts.impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
     for k in range(4):
-        wp.atomic_add(num_active, world, nodes[k], 1)
+        wp.atomic_add(contacts.num_active, world, nodes[k], 1)
 
 
 @wp.func
-def gather_contact_impulses(
-    world: int,
-    node: int,
-    contacts_of_node: wp.array3d(dtype=int),
-    num_contacts_of_node: wp.array2d(dtype=int),
-    contact_nodes: wp.array2d(dtype=wp.vec4i),
-    contact_weights: wp.array2d(dtype=wp.vec4),
-    contact_impulses: wp.array2d(dtype=wp.vec3),
-    num_active: wp.array2d(dtype=int),
-) -> wp.vec3:
+def gather_contact_impulses(world: int, node: int, contacts: SelfContacts) -> wp.vec3:
     """Return the sum of a node's contact impulses, each shared by the busiest of its four nodes so that the sum converges."""
     total = wp.vec3(0.0, 0.0, 0.0)
-    for entry in range(num_contacts_of_node[world, node]):
-        code = contacts_of_node[world, node, entry]
+    for entry in range(contacts.num_of_node[world, node]):
+        code = contacts.of_node[world, node, entry]
         slot = code // 4
-        impulse = contact_impulses[world, slot]
+        impulse = contacts.impulses[world, slot]
         if wp.dot(impulse, impulse) > 0.0:
-            nodes = contact_nodes[world, slot]
-            weight = contact_weights[world, slot]
+            nodes = contacts.nodes[world, slot]
+            weight = contacts.weights[world, slot]
             busiest = int(1)
             for k in range(4):
-                busiest = wp.max(busiest, num_active[world, nodes[k]])
+                busiest = wp.max(busiest, contacts.num_active[world, nodes[k]])
             total += impulse * (weight[code % 4] / float(busiest))
     return total

@@ -49,7 +49,7 @@ class BarHanger(Hanger):
 
     def attach(self, solver: Solver) -> None:
         """See `Hanger.attach`: the edges of all variants, padded by edges from a node to itself, which cross nothing."""
-        edges = [model.edges if model.mesh_edges is None else model.mesh_edges for model in solver.models]
+        edges = [model.surface_edges for model in solver.models]
         table = np.zeros((len(edges), max(len(entry) for entry in edges), 2), np.int64)
         for index, entry in enumerate(edges):
             table[index, : len(entry)] = entry

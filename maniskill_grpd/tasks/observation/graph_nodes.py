@@ -43,7 +43,7 @@ def neighbors_among(model: Model, nodes: np.ndarray) -> np.ndarray:
     if len(nodes) == model.num_nodes:
         return model.neighbors
     owner = model.geodesic_distances(nodes).argmin(axis=1)
-    edges = model.edges if model.mesh_edges is None else model.mesh_edges
+    edges = model.surface_edges
     pairs = np.unique(np.sort(owner[edges], axis=1), axis=0)
     lists: list[list[int]] = [[] for _ in nodes]
     for i, j in pairs[pairs[:, 0] != pairs[:, 1]].tolist():
