@@ -5,8 +5,8 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.kernels.barrier import synchronize_block
-from maniskill_grpd.physics.kernels.colliders import local_distance, to_local, to_world
-from maniskill_grpd.physics.kernels.data import Colliders, Objects, Thread, Touch
+from maniskill_grpd.physics.kernels.colliders import local_distance, place_collider
+from maniskill_grpd.physics.kernels.data import Colliders, Objects, PlacedCollider, Thread, Touch
 from maniskill_grpd.physics.kernels.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)
 
 # Evaluations of the signed distance along one motion; conservative advancement of a sphere needs about five.
@@ -35,22 +35,24 @@ def resolve_contact(position: Any, previous: Any, normal: Any, depth: Any, frict
 
 
 @wp.func
-def closest_on_edge(world: int, k: int, x_i: wp.vec3, x_j: wp.vec3, radius: float, colliders: Colliders) -> float:
+def closest_on_edge(
+    collider: PlacedCollider, x_i: wp.vec3, x_j: wp.vec3, radius: float, polygons: wp.array2d(dtype=wp.vec2)
+) -> float:
     """Return the fraction t at which an edge is closest to a collider, 0 if it does not come near or an end does.
 
     The signed distance of a convex collider is convex along the edge: its slope (the normal along the edge) tells on which side
     the minimum lies, and bisection finds it.
     """
-    start = to_local(world, k, x_i - colliders.positions[world, k], colliders)
-    along = to_local(world, k, x_j - x_i, colliders)
-    at = local_distance(world, k, start + 0.5 * along, colliders)
+    start = wp.quat_rotate_inv(collider.rotation, x_i - collider.position)
+    along = wp.quat_rotate_inv(collider.rotation, x_j - x_i)
+    at = local_distance(collider, start + 0.5 * along, polygons)
     if at[3] > radius + 0.5 * wp.length(along):
         return 0.0
     low = float(0.0)
     high = float(1.0)
     for _step in range(SEARCH_STEPS):
         middle = 0.5 * (low + high)
-        at = local_distance(world, k, start + middle * along, colliders)
+        at = local_distance(collider, start + middle * along, polygons)
         if at[0] * along[0] + at[1] * along[1] + at[2] * along[2] > 0.0:
             high = middle
         else:
@@ -63,19 +65,23 @@ def closest_on_edge(world: int, k: int, x_i: wp.vec3, x_j: wp.vec3, radius: floa
 
 @wp.func
 def project_collider(
-    world: int, k: int, position: wp.vec3, previous: wp.vec3, radius: float, friction: float, colliders: Colliders
+    collider: PlacedCollider,
+    position: wp.vec3,
+    previous: wp.vec3,
+    radius: float,
+    friction: float,
+    polygons: wp.array2d(dtype=wp.vec2),
 ) -> wp.vec3:
     """Keep a point at its radius from a collider, however far it moved in the substep.
 
     The motion is swept by conservative advancement: steps of the signed distance cannot miss a surface. A point that ends
     inside, or beyond the far side of a thin plate, is brought back to the tangent plane where it met the surface.
     """
-    center = colliders.positions[world, k]
-    start = to_local(world, k, previous - center, colliders)
-    end = to_local(world, k, position - center, colliders)
+    start = wp.quat_rotate_inv(collider.rotation, previous - collider.position)
+    end = wp.quat_rotate_inv(collider.rotation, position - collider.position)
     motion = end - start
     travel = wp.length(motion)
-    met = local_distance(world, k, start, colliders)
+    met = local_distance(collider, start, polygons)
     if met[3] - radius > travel:
         return position
     touching = radius * (1.0 + SWEEP_TOLERANCE)
@@ -85,8 +91,8 @@ def project_collider(
             progress += (met[3] - radius) / travel
             if progress >= 1.0:
                 return position
-            met = local_distance(world, k, start + motion * progress, colliders)
-    at = local_distance(world, k, end, colliders)
+            met = local_distance(collider, start + motion * progress, polygons)
+    at = local_distance(collider, end, polygons)
     normal = wp.vec3(at[0], at[1], at[2])
     depth = radius - at[3]
     met_normal = wp.vec3(met[0], met[1], met[2])
@@ -95,7 +101,7 @@ def project_collider(
         depth = radius - (met[3] + wp.dot(met_normal, motion) * (1.0 - progress))
     if depth <= 0.0:
         return position
-    return to_world(world, k, resolve_contact(end, start, normal, depth, friction), colliders) + center
+    return wp.quat_rotate(collider.rotation, resolve_contact(end, start, normal, depth, friction)) + collider.position
 
 
 @wp.func
@@ -105,7 +111,8 @@ def project_node(world: int, node: int, radius: float, friction: float, collider
         position = touch.positions[world, node]
         for k in range(colliders.kinds.shape[0]):
             if colliders.active[world, k]:
-                position = project_collider(world, k, position, touch.previous[world, node], radius, friction, colliders)
+                collider = place_collider(world, k, colliders)
+                position = project_collider(collider, position, touch.previous[world, node], radius, friction, colliders.polygons)
         touch.positions[world, node] = position
 
 
@@ -124,11 +131,12 @@ def project_edge(world: int, edge: wp.vec2i, radius: float, friction: float, col
             if colliders.active[world, k]:
                 x_i = touch.positions[world, i]
                 x_j = touch.positions[world, j]
-                t = closest_on_edge(world, k, x_i, x_j, radius, colliders)
+                collider = place_collider(world, k, colliders)
+                t = closest_on_edge(collider, x_i, x_j, radius, colliders.polygons)
                 if t > 0.0:
                     point = x_i * (1.0 - t) + x_j * t
                     start = touch.previous[world, i] * (1.0 - t) + touch.previous[world, j] * t
-                    moved = project_collider(world, k, point, start, radius, friction, colliders)
+                    moved = project_collider(collider, point, start, radius, friction, colliders.polygons)
                     share = w_i * (1.0 - t) * (1.0 - t) + w_j * t * t
                     if share > 0.0:
                         touch.positions[world, i] = x_i + (moved - point) * (w_i * (1.0 - t) / share)

@@ -3,7 +3,7 @@
 import warp as wp
 
 from maniskill_grpd.physics.colliders import ColliderKind
-from maniskill_grpd.physics.kernels.data import Colliders
+from maniskill_grpd.physics.kernels.data import Colliders, PlacedCollider
 
 PLANE = wp.constant(int(ColliderKind.PLANE))
 SPHERE = wp.constant(int(ColliderKind.SPHERE))
@@ -42,17 +42,16 @@ def disc(p: wp.vec3, radius: float) -> wp.vec3:
 
 
 @wp.func
-def polygon(p: wp.vec3, k: int, colliders: Colliders) -> wp.vec3:
+def polygon(p: wp.vec3, k: int, num_vertices: int, polygons: wp.array2d(dtype=wp.vec2)) -> wp.vec3:
     """Return (direction x, y; distance) of a convex counter-clockwise polygon in the plane of x and y."""
     point = wp.vec2(p[0], p[1])
     nearest = wp.vec2(0.0, 0.0)
     shortest = float(1.0e12)
     deepest = float(-1.0e12)
     out = wp.vec2(1.0, 0.0)
-    num_vertices = colliders.polygon_sizes[k]
     for vertex in range(num_vertices):
-        a = colliders.polygons[k, vertex]
-        along = colliders.polygons[k, (vertex + 1) % num_vertices] - a
+        a = polygons[k, vertex]
+        along = polygons[k, (vertex + 1) % num_vertices] - a
         offset = point - a
         normal = wp.normalize(wp.vec2(along[1], -along[0]))
         height = wp.dot(normal, offset)
@@ -117,44 +116,45 @@ def triangles(p: wp.vec3, mesh: wp.uint64) -> wp.vec4:
 
 
 @wp.func
-def to_local(world: int, k: int, vector: wp.vec3, colliders: Colliders) -> wp.vec3:
-    """Turn a vector of the world into the frame of a collider."""
+def place_collider(world: int, k: int, colliders: Colliders) -> PlacedCollider:
+    """Fetch a collider of a world."""
     wxyz = colliders.rotations[world, k]
-    return wp.quat_rotate_inv(wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0]), vector)
+    collider = PlacedCollider()
+    collider.index = k
+    collider.kind = colliders.kinds[k]
+    collider.num_vertices = colliders.polygon_sizes[k]
+    collider.mesh = colliders.meshes[k]
+    collider.size = colliders.sizes[world, k]
+    collider.position = colliders.positions[world, k]
+    collider.rotation = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
+    return collider
 
 
 @wp.func
-def to_world(world: int, k: int, vector: wp.vec3, colliders: Colliders) -> wp.vec3:
-    """Turn a vector in the frame of a collider into the world."""
-    wxyz = colliders.rotations[world, k]
-    return wp.quat_rotate(wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0]), vector)
-
-
-@wp.func
-def local_distance(world: int, k: int, p: wp.vec3, colliders: Colliders) -> wp.vec4:
+def local_distance(collider: PlacedCollider, p: wp.vec3, polygons: wp.array2d(dtype=wp.vec2)) -> wp.vec4:
     """Return (outward normal, signed distance) of a collider at a point, both in its own frame."""
-    kind = colliders.kinds[k]
-    size = colliders.sizes[world, k]
-    if kind == PLANE:
+    size = collider.size
+    if collider.kind == PLANE:
         return wp.vec4(0.0, 0.0, 1.0, p[2])
-    if kind == SPHERE:
+    if collider.kind == SPHERE:
         return ball(p, size[0])
-    if kind == CAPSULE:
+    if collider.kind == CAPSULE:
         return ball(p - wp.vec3(0.0, 0.0, wp.clamp(p[2], -size[1], size[1])), size[0])
-    if kind == BOX:
+    if collider.kind == BOX:
         return cuboid(p, size)
-    if kind == CYLINDER:
+    if collider.kind == CYLINDER:
         return extrude(disc(p, size[0]), p[2], size[1])
-    if kind == PRISM:
-        section = polygon(p / size[0], k, colliders)
+    if collider.kind == PRISM:
+        section = polygon(p / size[0], collider.index, collider.num_vertices, polygons)
         return extrude(wp.vec3(section[0], section[1], section[2] * size[0]), p[2], size[1])
-    at = triangles(p / size[0], colliders.meshes[k])
+    at = triangles(p / size[0], collider.mesh)
     return wp.vec4(at[0], at[1], at[2], at[3] * size[0])
 
 
 @wp.func
 def collider_distance(world: int, k: int, point: wp.vec3, colliders: Colliders) -> wp.vec4:
     """Return (outward normal, signed distance) of a collider at a point of its world."""
-    at = local_distance(world, k, to_local(world, k, point - colliders.positions[world, k], colliders), colliders)
-    normal = to_world(world, k, wp.vec3(at[0], at[1], at[2]), colliders)
+    collider = place_collider(world, k, colliders)
+    at = local_distance(collider, wp.quat_rotate_inv(collider.rotation, point - collider.position), colliders.polygons)
+    normal = wp.quat_rotate(collider.rotation, wp.vec3(at[0], at[1], at[2]))
     return wp.vec4(normal[0], normal[1], normal[2], at[3])

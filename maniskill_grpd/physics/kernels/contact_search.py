@@ -120,10 +120,10 @@ def keep_nearest(
 
 
 @wp.func
-def through_material(variant: int, owner: int, corners: wp.vec3i, objects: Objects) -> float:
+def through_material(variant: int, owner: int, corners: wp.vec3i, geodesics: wp.array3d(dtype=float)) -> float:
     """Return the distance through the material from a node to the nearest corner of an element."""
-    first = objects.geodesics[variant, owner, corners[0]]
-    return wp.min(first, wp.min(objects.geodesics[variant, owner, corners[1]], objects.geodesics[variant, owner, corners[2]]))
+    first = geodesics[variant, owner, corners[0]]
+    return wp.min(first, wp.min(geodesics[variant, owner, corners[1]], geodesics[variant, owner, corners[2]]))
 
 
 @wp.func
@@ -171,7 +171,7 @@ def find_candidates(
                     approach = wp.min(wp.length(v - touch.velocities[world, corners[0]]) * duration, MAX_APPROACH)
                     wanted = wp.min(reach + approach, wp.max(farthest, thickness))
                     if is_near(x, sphere, own_radius + wanted) and (
-                        through_material(variant, owner, corners, objects) > objects.exclusions[variant]
+                        through_material(variant, owner, corners, objects.geodesics) > objects.exclusions[variant]
                     ):
                         nodes = wp.vec4i(owner, corners[0], corners[1], corners[2])
                         if is_rope:

@@ -106,6 +106,19 @@ class Colliders:
 
 
 @wp.struct
+class PlacedCollider:
+    """One collider as it stands in one world."""
+
+    index: int
+    kind: int
+    num_vertices: int  # of its polygon
+    mesh: wp.uint64
+    size: wp.vec3
+    position: wp.vec3
+    rotation: wp.quat
+
+
+@wp.struct
 class SelfContacts:
     """Candidates of contact of an object with itself, in every world."""
 
