@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import torch
 import warp as wp
@@ -12,16 +10,13 @@ import warp as wp
 from maniskill_grpd.physics.colliders import Collider
 from maniskill_grpd.physics.kernels.data import Timing, Worlds
 from maniskill_grpd.physics.kernels.step import build_step_kernel
+from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
 from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects
 from maniskill_grpd.physics.world_state import WORLD_TYPES, WorldState
 
-# Below this many worlds a second thread costs more than it brings.
-MIN_WORLDS_PER_THREAD = 16
-# Lanes of a block on CUDA: more only pay when a colour has more constraints than lanes.
-SMALL_BLOCK_DIM, LARGE_BLOCK_DIM, LARGE_OBJECT = 64, 256, 200
 # Searches for contacts of an object with itself in one control step.
 SEARCHES_PER_STEP = 4
 
@@ -127,20 +122,15 @@ class Solver(WorldState):
         self.patch_radius = patch_radius
         self.capture_radius = capture_radius
         self._features = choose_features(self.models, self.colliders, self_collision)
-        wp.init()
-        self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features.tethers, self.device)
-        self._commands = self._record_commands(self._choose_num_threads(num_threads))
-        self._pool = ThreadPoolExecutor(len(self._commands)) if len(self._commands) > 1 else None
+        with quiet_warp():
+            wp.init()
+            self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features.tethers, self.device)
+            commands = self._record_commands(choose_num_threads(num_threads, num_worlds, self.device))
+        self._launches = Launches(commands, self.device)
 
     def step(self) -> None:
         """Advance all worlds by `control_dt`; afterwards `gripper_positions` equal `gripper_targets`."""
-        if self.device.type == "cuda":
-            self._commands[0].launch(stream=wp.stream_from_torch(torch.cuda.current_stream(self.device)))
-        elif self._pool is None:
-            self._commands[0].launch()
-        else:
-            for launched in [self._pool.submit(command.launch) for command in self._commands]:
-                launched.result()
+        self._launches.run()
 
     def reset(
         self,
@@ -331,21 +321,9 @@ class Solver(WorldState):
         super().set_state(state, world_idx)
         self._groups.assign(self.variants)
 
-    def _choose_num_threads(self, num_threads: int | None) -> int:
-        if self.device.type == "cuda":
-            return 1
-        available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        wanted = num_threads or min(available, self.num_worlds // MIN_WORLDS_PER_THREAD)
-        return max(1, min(wanted, self.num_worlds))
-
-    def _choose_block_dim(self) -> int:
-        if self.device.type != "cuda":
-            return 1
-        return LARGE_BLOCK_DIM if self.num_nodes > LARGE_OBJECT else SMALL_BLOCK_DIM
-
     def _record_commands(self, num_threads: int) -> list[wp.Launch]:
         """Record one launch per thread, each over every `num_threads`-th group of worlds."""
-        device, block_dim = str(self.device), self._choose_block_dim()
+        device, block_dim = str(self.device), choose_block_dim(self.num_nodes, self.device)
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
         colliders, meshes = upload_colliders(self.colliders, device)
         if self.colliders:

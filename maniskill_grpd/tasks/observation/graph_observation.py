@@ -103,7 +103,7 @@ class GraphObservation:
         chosen, mask = np.zeros((count, size), np.int64), np.zeros((count, size), bool)
         padded = np.full((count, size, width), -1, np.int64)
         along = np.zeros((count, solver.num_nodes), np.float32)
-        is_rope = len(solver.model.faces) == 0
+        is_rope = solver.model.is_rope
         self._place = channels.ARC if is_rope else channels.CORNER  # how a node lies in the object, whatever its pose
         for index, model in enumerate(solver.models):
             num = len(nodes[index])

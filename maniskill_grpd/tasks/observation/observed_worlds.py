@@ -64,7 +64,7 @@ class ObservedWorlds(MeasuredWorlds):
         """Return the goal and, in observations of the state, where the nodes of the object are and how they move."""
         obs = {name: value.clone() for name, value in self.goal_observations().items()}
         if self.obs_mode_struct.use_state:
-            kind = "rope" if len(self.solver.model.faces) == 0 else "cloth"
+            kind = "rope" if self.solver.model.is_rope else "cloth"
             obs[f"{kind}_positions"] = self.solver.positions.flatten(1).clone()
             obs[f"{kind}_velocities"] = self.solver.velocities.flatten(1).clone()
         return obs

@@ -60,7 +60,7 @@ class WorldPictures(MeasuredWorlds):
         solver, model = self.solver, self.model_of(world)
         points = self.nodes_of(world, solver.positions)
         return Drawing(
-            object=Tube(points, model.radius) if len(model.faces) == 0 else Sheet(points, model.faces),
+            object=Tube(points, model.radius) if model.is_rope else Sheet(points, model.faces),
             solids=collider_solids(solver, world),
             grippers=solver.gripper_positions[world].cpu().numpy(),
             closed=solver.closed[world].cpu().numpy(),
