@@ -1,11 +1,11 @@
-# The whole interface of a developer: `make demo`, `make test`, `make lint`, `make install`.
+# The whole interface of a developer: `make demo`, `make test`, `make lint`, `make docs`, `make install`.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # One thread per process: on small or busy machines more OpenMP threads make small tensors slower, not faster.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install demo test lint clean
+.PHONY: install demo test lint docs clean
 
 install: $(VENV)/installed
 
@@ -23,6 +23,10 @@ test: install
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+# Pages that follow from committed measurements; benchmarks and studies write the measurements.
+docs: install
+	$(BIN)/python -m tools.docs
 
 clean:
 	rm -rf $(VENV) runs

@@ -1,6 +1,6 @@
 """Measure env-steps/s of RopeShaping-v1 beside a stock ManiSkill task, in one run.
 
-python benchmarks/env.py [--quick] [--json FILE] [--markdown FILE]
+python benchmarks/env.py [--quick] [--json FILE]
 
 Ours steps through `ManiSkillVectorEnv` with graph observations and random actions. The peer is PickCube-v1 with state
 observations on the same processor; PhysX on the CPU has one world per process. PickCube builds visuals and so needs a
@@ -11,16 +11,14 @@ Machines are noisy, so peer and ours take turns, and what counts is the ratio of
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
-import sys
 import time
 from pathlib import Path
 
 import gymnasium as gym
 import mani_skill.envs  # noqa: F401  (registers PickCube-v1)
 import torch
-from machine import describe_machine, machine_line
+from machine import describe_machine, report
 from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.registration import register_env
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
@@ -107,33 +105,15 @@ def measure(seconds: float, repeats: int) -> list[dict]:
     return rows
 
 
-def to_markdown(rows: list[dict]) -> str:
-    """Format rows as a table."""
-    lines = ["| environment | worlds | env-steps/s (median) | min - max | times the peer |", "|---|--:|--:|--:|--:|"]
-    for row in rows:
-        ratio = f"{row['ratio']:.0f}" if "ratio" in row else ""
-        spread = f"{row['min']:,.0f} - {row['max']:,.0f}"
-        lines.append(f"| {row['env']} | {row['num_worlds']} | {row['env_steps_per_s']:,.0f} | {spread} | {ratio} |")
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     """Parse the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="short measurements, for a look rather than for the record")
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--markdown", type=Path, help="file for the table")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     rows = measure(seconds=0.5 if arguments.quick else 3.0, repeats=2 if arguments.quick else 7)
-    table = to_markdown(rows)
-    sys.stdout.write(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps([{**row, "machine": describe_machine()} for row in rows], indent=1) + "\n")
-    if arguments.markdown:
-        command = "python benchmarks/env.py" + (" --quick" if arguments.quick else "")
-        place = machine_line(describe_machine())
-        arguments.markdown.write_text(f"# Environment throughput\n\n`{command}` on: {place}.\n\n{table}")
+    report(rows, describe_machine(), arguments.json)
 
 
 if __name__ == "__main__":

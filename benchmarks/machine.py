@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
+import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -14,22 +18,32 @@ from maniskill_grpd.processor import processor_name
 
 
 def describe_machine(device: str = "cpu") -> dict[str, str | int]:
-    """Return processor, cores, load and versions."""
+    """Return processor, cores, load, versions and the date."""
     machine: dict[str, str | int] = {
         "cpu": processor_name(),
         "cores": os.cpu_count() or 1,
         "cores used": num_cores(),
         "load": f"{os.getloadavg()[0]:.1f}",
         "python": platform.python_version(),
+        "date": time.strftime("%Y-%m-%d"),
     }
     if device == "cuda":
         machine["gpu"] = torch.cuda.get_device_name()
     return machine | {package: installed_version(package) for package in ("torch", "warp-lang", "newton")}
 
 
-def machine_line(machine: Mapping[str, str | int]) -> str:
-    """Return what `describe_machine` says as part of a sentence."""
-    return ", ".join(f"{key} {value}" for key, value in machine.items())
+def report(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, str | int], path: Path | None = None) -> None:
+    """Print rows, one a line, and save them if there is a file for them; `make docs` makes tables of such files."""
+    for row in rows:
+        sys.stdout.write(json.dumps(row) + "\n")
+    sys.stdout.flush()
+    save(rows, machine, path)
+
+
+def save(rows: Sequence[Mapping[str, Any]], machine: Mapping[str, str | int], path: Path | None) -> None:
+    """Write rows, each with the machine that it was measured on."""
+    if path is not None:
+        path.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n", encoding="utf-8")
 
 
 def num_cores() -> int:

@@ -1,6 +1,6 @@
 """Measure the solver beside Newton's XPBD and VBD on the same objects at equal stretch, in one run.
 
-taskset -c 0 python benchmarks/physics.py [--quick] [--scene NAME] [--json FILE] [--markdown FILE] [--device cpu] [--target X]
+taskset -c 0 python benchmarks/physics.py [--quick] [--scene NAME] [--json FILE] [--device cpu] [--target X]
 
 Every solver moves the same springs, masses, hinges and table through the same motion: two held nodes are dragged at 0.6 m/s in
 directions that change every half second. The largest edge strain that ours reaches with its default substeps is the target, but
@@ -13,7 +13,6 @@ without it only ours is measured.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import sys
 import time
@@ -23,11 +22,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from machine import describe_machine, machine_line, measure_peaks
+from machine import describe_machine, measure_peaks, report, save
 from physics_cost import count_work
 
 from maniskill_grpd.physics import Model, Solver, cloth, rope, square_outline
-from maniskill_grpd.physics.kernels.lanes import WIDTH
 
 MAX_STEP = 0.03
 SLOW = 5.0  # a configuration that would take longer than this [s] for one control step is not measured
@@ -224,14 +222,14 @@ def find_settings(scene: Scene, arguments: argparse.Namespace, methods: list[str
         solvers = ((n, make(scene, 4, "ours", n, 1, arguments.device)) for n in candidates)
         runs = ((n, largest_stretch(solver, scene.model, moves, target)) for n, solver in solvers)
         substeps, reached = next(((n, stretch) for n, stretch in runs if stretch <= target), (candidates[-1], np.nan))
-    report(f"{scene.name}: ours {substeps} substeps, largest stretch {reached:.4f}")
+    progress(f"{scene.name}: ours {substeps} substeps, largest stretch {reached:.4f}")
     entries = [Entry(scene, "ours", substeps, 1, reached)]
     for method in methods:
         entry = search(scene, method, target, moves, arguments)
         if entry is None:
-            report(f"{scene.name}: {method} reaches it with none of the settings tried")
+            progress(f"{scene.name}: {method} reaches it with none of the settings tried")
             continue
-        report(f"{scene.name}: {method} {entry.substeps} x {entry.iterations}, largest stretch {entry.stretch:.4f}")
+        progress(f"{scene.name}: {method} {entry.substeps} x {entry.iterations}, largest stretch {entry.stretch:.4f}")
         entries.append(entry)
     return entries
 
@@ -292,43 +290,7 @@ def to_rows(entries: list[Entry], arguments: argparse.Namespace) -> list[dict]:
     return rows
 
 
-def to_markdown(rows: list[dict]) -> str:
-    """Format rows as a table."""
-    lines = [
-        "| scene | worlds | solver | substeps x iterations | largest stretch | env-steps/s (median) | min - max "
-        "| ns per projection | ratio | to springs only |",
-        "|---|--:|---|--:|--:|--:|--:|--:|--:|--:|",
-    ]
-    for row in sorted(rows, key=lambda row: (row["scene"], row["num_worlds"])):
-        ratios = [f"{row[key]:.1f}" if key in row else "" for key in ("ratio", "ratio_to_springs_only")]
-        lines.append(
-            f"| {row['scene']} | {row['num_worlds']:,} | {row['solver']} | {row['substeps']} x {row['iterations']} "
-            f"| {100 * row['largest_stretch']:.1f} % | {row['env_steps_per_s']:,.0f} | {row['min']:,.0f} - {row['max']:,.0f} "
-            f"| {row['ns_per_projection']:.1f} | {ratios[0]} | {ratios[1]} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
-def bound_text(rows: list[dict], peaks: dict[str, float]) -> str:
-    """Say what limits ours, from counted bytes and operations."""
-    lines = ["| scene | working set of a group of worlds | flop per byte | GFLOP/s | GB/s in caches |", "|---|--:|--:|--:|--:|"]
-    lines += [
-        f"| {row['scene']} | {(row['work_state'] * WIDTH + row['work_constants']) / 1024:,.0f} KiB "
-        f"| {row['work_flops'] / row['work_bytes']:.2f} | {row['gflop_per_s']:.1f} | {row['gbyte_per_s']:.1f} |"
-        for row in rows
-        if row["solver"] == "ours" and row["num_worlds"] == 64
-    ]
-    return (
-        "\n".join(lines) + f"\n\nOne core of the same machine: {peaks['gflop_per_s']:.0f} GFLOP/s (float32 matrix product), "
-        f"{peaks['gbyte_per_s']:.1f} GB/s (copy of a large array). A thread advances {WIDTH} worlds in the lanes of its vector "
-        "registers. Bytes are counted as every projection moves them; a working set that fits the second cache comes from main "
-        "memory once per control step, so its bandwidth does not limit. Of the arithmetic, an edge of a line takes five "
-        "divisions and a square root of all lanes, two of the divisions in the recursion of the elimination: they bound what "
-        "fits the cache, well below the throughput of multiplications and additions that the matrix product shows.\n"
-    )
-
-
-def report(line: str) -> None:
+def progress(line: str) -> None:
     """Print progress at once."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
@@ -340,7 +302,6 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="rope and 10x10 cloth, short: for a look rather than for the record")
     parser.add_argument("--scene", help='"rope 40", "cloth 10x10", "cloth 15x15" or "cloth 35x35" alone')
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--markdown", type=Path, help="file for the table")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--target", type=float, help="largest stretch that all solvers must reach, instead of ours by default")
     arguments = parser.parse_args()
@@ -356,16 +317,13 @@ def main() -> None:
         entries = find_settings(scene, arguments, methods if scene.model.num_nodes <= 100 else methods[:2])
         for num_worlds in worlds:
             measure(entries, num_worlds, arguments)
+        known = len(rows)
         rows += to_rows(entries, arguments)
-        report(to_markdown([row for row in rows if row["scene"] == scene.name]))
-        machine = describe_machine(arguments.device)
-        if arguments.json:  # after every scene: an interrupted run keeps what it has
-            arguments.json.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n")
-    if arguments.markdown:
-        command = "python " + " ".join(["benchmarks/physics.py", *sys.argv[1:]])
-        head = f"# Physics throughput\n\n`{command}` on: {machine_line(machine)}.\n\n"
-        text = f"{head}{__doc__.split(chr(10) * 2)[2]}\n\n{to_markdown(rows)}\n"
-        arguments.markdown.write_text(text + "## What bounds it\n\n" + bound_text(rows, measure_peaks()))
+        # After every scene: an interrupted run keeps what it has.
+        report(rows[known:], describe_machine(arguments.device))
+        save(rows, describe_machine(arguments.device), arguments.json)
+    peaks = {f"peak_{name}": value for name, value in measure_peaks().items()}
+    save([*rows, peaks], describe_machine(arguments.device), arguments.json)
 
 
 if __name__ == "__main__":

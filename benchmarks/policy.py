@@ -1,6 +1,6 @@
 """Measure time and memory of the policies against the number of nodes and actuators, in one run.
 
-python benchmarks/policy.py [--quick] [--json FILE] [--markdown FILE]
+python benchmarks/policy.py [--quick] [--json FILE]
 
 Subjects: the four policies at their default sizes (equal numbers of parameters within 10 %); EMPN
 at GRPD's width; GRPD with the same weights and the same kernel but a message formed on every edge
@@ -19,8 +19,6 @@ from __future__ import annotations
 
 import argparse
 import copy
-import json
-import math
 import statistics
 import sys
 import time
@@ -29,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from machine import describe_machine, machine_line
+from machine import describe_machine, report
 from torch import nn
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
@@ -42,8 +40,6 @@ NUM_NODES = (20, 50, 100, 200, 500, 1000, 1200)
 MAX_ACTUATORS = 4
 LARGE = 1000
 """Number of nodes at which the number of actuators is varied."""
-SLOPE_FROM = 100
-"""Smallest number of nodes that enters the slopes; below, fixed costs dominate."""
 REFERENCE = "grpd"
 PER_EDGE = "grpd, a message per edge"
 PEER = "ViS_MP (torch_geometric)"
@@ -358,58 +354,6 @@ def measure(*, device: torch.device, quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def slope(rows: list[dict[str, Any]], policy: str, mode: str, key: str = "ms") -> float:
-    """Return d log(key) / d log(nodes) from SLOPE_FROM nodes up, by least squares."""
-    points = [
-        (math.log(row["nodes"]), math.log(row[key]))
-        for row in rows
-        if row["policy"] == policy and row["mode"] == mode and row["actuators"] == MAX_ACTUATORS and row["nodes"] >= SLOPE_FROM
-    ]
-    return statistics.linear_regression(*zip(*points, strict=True)).slope
-
-
-def to_markdown(rows: list[dict[str, Any]]) -> str:
-    """Format rows as tables: summary, then time and memory against nodes and actuators."""
-    names = list(dict.fromkeys(row["policy"] for row in rows))
-    mode = MODES[1]
-    lines = [
-        f"Forward and backward, {LARGE:,} nodes, {MAX_ACTUATORS} actuators, {BATCH} graphs:",
-        "",
-        "| policy | parameters | ms | times grpd | peak MiB | slope of time | slope of memory |",
-        "|---|--:|--:|--:|--:|--:|--:|",
-    ]
-    for name in names:
-        row = _find(rows, name, LARGE, MAX_ACTUATORS, mode)
-        lines.append(
-            f"| {name} | {row['parameters']:,} | {row['ms']:.1f} | {row.get('ratio', 1.0):.2f} | "
-            f"{row['peak_mib']:.1f} | {slope(rows, name, mode):.2f} | "
-            f"{slope(rows, name, mode, 'peak_mib'):.2f} |"
-        )
-    lines += ["", f"Slopes are d log / d log(nodes) from {SLOPE_FROM} nodes up."]
-    for mode in MODES:
-        for title, key, digits in (("median ms (times grpd)", "ms", 1), ("peak MiB", "peak_mib", 1)):
-            lines += ["", f"{mode}, {title}:", "", *_grid(rows, names, mode, key, digits)]
-    return "\n".join(lines) + "\n"
-
-
-def _grid(rows: list[dict], names: list[str], mode: str, key: str, digits: int) -> list[str]:
-    sizes = list(dict.fromkeys((row["nodes"], row["actuators"]) for row in rows))
-    lines = ["| policy | " + " | ".join(f"N={n}, A={a}" for n, a in sizes) + " |", "|---|" + "--:|" * len(sizes)]
-    for name in names:
-        cells = []
-        for nodes, actuators in sizes:
-            row = _find(rows, name, nodes, actuators, mode)
-            ratio = f" ({row['ratio']:.1f})" if key == "ms" and "ratio" in row else ""
-            cells.append(f"{row[key]:.{digits}f}{ratio}")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return lines
-
-
-def _find(rows: list[dict], policy: str, nodes: int, actuators: int, mode: str) -> dict[str, Any]:
-    wanted = {"policy": policy, "nodes": nodes, "actuators": actuators, "mode": mode}
-    return next(row for row in rows if wanted.items() <= row.items())
-
-
 def _synchronize(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.synchronize(device)
@@ -427,21 +371,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="few sizes and short measurements, for a look")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--markdown", type=Path, help="file for the tables")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     device = torch.device(arguments.device)
     rows = measure(device=device, quick=arguments.quick)
-    tables = to_markdown(rows)
-    sys.stdout.write(tables)
-    where = describe_machine(device.type)
-    if arguments.json:
-        text = json.dumps([{**row, "machine": where} for row in rows], indent=1)
-        arguments.json.write_text(text + "\n")
-    if arguments.markdown:
-        command = "python benchmarks/policy.py" + (" --quick" if arguments.quick else "")
-        command += "" if arguments.device == "cpu" else f" --device {arguments.device}"
-        arguments.markdown.write_text(f"# Cost of policies\n\n`{command}` on: {machine_line(where)}.\n\n{tables}")
+    report(rows, describe_machine(device.type), arguments.json)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Measure every task: what blind policies and the expert reach in it, and how fast it runs.
 
-python benchmarks/tasks.py [--quick] [--json FILE] [--page docs/tasks.md]
+python benchmarks/tasks.py [--quick] [--json FILE]
 
 Success and return are those of 200 episodes on seeds that nothing was tuned or trained on (20 with --quick). Blind policies are
 "random" (a new random action at each step), "still" (no motion) and "push" (one random direction at full speed for the whole
@@ -23,7 +23,6 @@ import gymnasium as gym
 import torch
 from machine import describe_machine
 from mani_skill.utils.registration import REGISTERED_ENVS
-from task_cards import write_page
 from tqdm import tqdm
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
@@ -135,7 +134,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="20 episodes and short measurements, for a look")
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--page", type=Path, help="page of the task cards with the tables in it, docs/tasks.md")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     rows = measure_policies(20 if arguments.quick else 200)
@@ -143,8 +141,6 @@ def main() -> None:
     rows = [{**row, "machine": describe_machine()} for row in rows]
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    if arguments.page:
-        write_page(arguments.page, rows)
     sys.stdout.write(json.dumps([{key: row[key] for key in row if key != "machine"} for row in rows], indent=1) + "\n")
 
 

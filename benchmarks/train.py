@@ -1,6 +1,6 @@
 """Measure env-steps/s of whole training iterations, beside a learner in the style of ManiSkill's stock PPO.
 
-python benchmarks/train.py [--quick] [--processes] [--json FILE] [--markdown FILE]
+python benchmarks/train.py [--quick] [--processes] [--json FILE]
 
 Three learners take turns on one core with the same task, environments and steps per iteration: grpd with bpp, grpd with ppo, and
 dense networks on the flat state, ManiSkill's baseline as in examples/maniskill_ppo.py. Share of each phase: simulation, policy
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import math
 import os
 import statistics
@@ -26,7 +25,7 @@ from types import ModuleType
 from typing import Any
 
 import torch
-from machine import describe_machine, machine_line
+from machine import describe_machine, report
 
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.allocator import keep_freed_memory
@@ -190,20 +189,6 @@ def run_processes(count: int, iterations: int = 3) -> float:
     return steps / statistics.median(row["time/rollout_time"] + row["time/update_time"] for row in rows[1:])
 
 
-def to_markdown(rows: list[dict[str, Any]]) -> str:
-    """Format rows as a table."""
-    lines = [
-        "| learner | env-steps/s (median) | min - max | simulation | policy in rollout | update | times the peer |",
-        "|---|--:|--:|--:|--:|--:|--:|",
-    ]
-    for row in rows:
-        shares = (f"{row[key]:.0%}" if key in row else "" for key in ("share_simulation", "share_policy", "share_update"))
-        ratio = f"{row['ratio']:.2f}" if "ratio" in row else ""
-        spread = f"{row['min']:,.0f} - {row['max']:,.0f}"
-        lines.append(f"| {row['learner']} | {row['env_steps_per_s']:,.0f} | {spread} | {' | '.join(shares)} | {ratio} |")
-    return "\n".join(lines) + "\n"
-
-
 def main(arguments: Sequence[str]) -> None:
     """Parse the command line, measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -211,7 +196,6 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("--processes", action="store_true", help="also compare two processes with one")
     parser.add_argument("--compile", action="store_true", help="compile the policy for updates")
     parser.add_argument("--json", type=Path, help="file for the rows")
-    parser.add_argument("--markdown", type=Path, help="file for the table")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     keep_freed_memory()
@@ -219,17 +203,7 @@ def main(arguments: Sequence[str]) -> None:
     rows = measure(repeats, {"compile": options.compile, **({"update_epochs": 1} if options.quick else {})})
     if options.processes:
         rows += measure_processes(repeats)
-    table = to_markdown(rows)
-    sys.stdout.write(table)
-    machine = describe_machine()
-    if options.json:
-        options.json.write_text(json.dumps([{**row, "machine": machine} for row in rows], indent=1) + "\n")
-    if options.markdown:
-        command = " ".join(["python benchmarks/train.py", *arguments])
-        place = machine_line(machine)
-        options.markdown.write_text(
-            f"# Training throughput\n\n`{command}` on: {place}. Measured {time.strftime('%Y-%m-%d')}.\n\n{table}"
-        )
+    report(rows, describe_machine(), options.json)
 
 
 if __name__ == "__main__":

@@ -55,21 +55,14 @@ def test_peak_memory_counts_what_is_alive_at_once():
     assert peak == pytest.approx(2.0, abs=0.01)
 
 
-def test_slope_of_a_power_law():
-    rows = [{"policy": "a", "mode": "forward", "actuators": 4, "nodes": n, "ms": 3.0 * n**1.5} for n in (100, 200, 1000)]
-    assert benchmark.slope(rows, "a", "forward") == pytest.approx(1.5)
-
-
-def test_rows_and_tables(monkeypatch):
+def test_rows(monkeypatch):
     monkeypatch.setattr(benchmark, "LARGE", 200)
     rows = []
     for nodes in (100, 200):
         rows += benchmark.measure_size(nodes, 4, device=CPU, budget=0.0, repeats=1)
     assert all(("ratio" in row) == (row["policy"] != "grpd") for row in rows)
     assert all(row["ms"] > 0.0 and row["peak_mib"] > 0.0 for row in rows)
-    table = benchmark.to_markdown(rows)
-    for name in ("grpd", "empn", "hetero_gnn", "transformer", benchmark.PER_EDGE):
-        assert f"| {name} |" in table
+    assert {row["policy"] for row in rows} >= {"grpd", "empn", "hetero_gnn", "transformer", benchmark.PER_EDGE}
 
 
 def test_outside_peer_has_the_same_message_paths(graph):

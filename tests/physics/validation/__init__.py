@@ -1,1 +1,1 @@
-"""Simulations whose outcome has a closed form, shared by the tests and by `examples/plot_physics_validation.py`."""
+"""Simulations whose outcome has a closed form, shared by the tests and by `tools/docs/measure_physics.py`."""

@@ -9,10 +9,11 @@ import torch
 
 from maniskill_grpd.physics import ClothMaterial, Model, Solver, cloth, rectangle_outline, square_outline
 from maniskill_grpd.physics.colliders import cylinder, sphere
-from validation import closed_forms
-from validation.closed_forms import FLOAT32_ULP, GRAVITY
-from validation.record import Case, Check
-from validation.rope_statics import drift_bound, float_strain
+
+from . import closed_forms
+from .closed_forms import FLOAT32_ULP, GRAVITY
+from .record import Case, Check
+from .rope_statics import drift_bound, float_strain
 
 
 def upright(model: Model) -> torch.Tensor:

@@ -9,9 +9,10 @@ import torch
 
 from maniskill_grpd.physics import RopeMaterial, Solver, cloth, rope, square_outline
 from maniskill_grpd.physics.colliders import box, cylinder, sphere
-from validation import closed_forms
-from validation.closed_forms import FLOAT32_ULP, GRAVITY
-from validation.record import Case, Check
+
+from . import closed_forms
+from .closed_forms import FLOAT32_ULP, GRAVITY
+from .record import Case, Check
 
 
 def incline(test: str, *, friction: float, margin: float) -> Iterator[Check]:

@@ -9,10 +9,11 @@ import torch
 from scipy.special import j0
 
 from maniskill_grpd.physics import RopeMaterial, Solver, rope
-from validation import closed_forms
-from validation.closed_forms import FLOAT32_ULP, GRAVITY
-from validation.record import Case, Check
-from validation.rope_statics import float_strain, free_solver
+
+from . import closed_forms
+from .closed_forms import FLOAT32_ULP, GRAVITY
+from .record import Case, Check
+from .rope_statics import float_strain, free_solver
 
 
 def free_fall(test: str) -> Iterator[Check]:

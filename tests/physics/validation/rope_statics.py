@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from maniskill_grpd.physics import RopeMaterial, Solver, rope
-from validation import closed_forms
-from validation.closed_forms import FLOAT32_ULP, GRAVITY
-from validation.record import Case, Check
+
+from . import closed_forms
+from .closed_forms import FLOAT32_ULP, GRAVITY
+from .record import Case, Check
 
 
 def float_strain(dt: float, length: float, stiffness_acceleration: float = GRAVITY) -> float:

@@ -1,10 +1,10 @@
 """The gallery of the tasks."""
 
 import pytest
-import task_gallery
 from PIL import Image, ImageSequence
 
 from maniskill_grpd.experts import EXPERTS
+from tools.docs import task_gallery
 
 
 def clip(color, num_frames):

@@ -1,6 +1,6 @@
 """Pictures of all tasks: for each a still and a clip of the scripted expert, and one clip of all of them side by side.
 
-python examples/task_gallery.py --folder docs/images
+python -m tools.docs.task_gallery [--folder docs/images]
 
 Writes <id of the task>.png and .gif, and tasks.gif. The clips end a second after the expert has succeeded; they run in real time.
 """
@@ -109,7 +109,7 @@ def _stack(frames: list[Image.Image]) -> Image.Image:
 def main() -> None:
     """Parse the command line, play all experts and write the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, required=True, help="where to write the pictures")
+    parser.add_argument("--folder", type=Path, default=Path("docs/images"), help="where to write the pictures")
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     clips = []

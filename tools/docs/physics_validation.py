@@ -1,43 +1,35 @@
-"""Run the validation cases and write their table and plots: what the solver gives beside what theory says.
-
-python examples/plot_physics_validation.py [--out docs/physics]
-
-Writes `validation.md` (every number), `validation.json` and four plots, and into `docs/physics.md` the worst number of each law
-and the strain of cloths dragged by their corners. Takes a few minutes.
-"""
+"""Tables and plots of the validation of the physics, from what `measure_physics` wrote: docs/physics/*.json."""
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections import defaultdict
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "physics"))
-from validation import closed_forms, cloth_statics, contact, rope_dynamics, rope_statics
-from validation.corner_drag import corner_cloth, strain_percentiles
-from validation.record import Check
+from tests.physics.validation import closed_forms
+from tests.physics.validation.record import Check
 
-MODULES = (rope_statics, rope_dynamics, cloth_statics, contact)
+COMMAND = "python -m tools.docs.measure_physics"
+STRAINS = ("together", "apart", "apart_without_wrinkling", "shortest")
+"""Columns of strain.json: percentiles of the strain of the edges, see `strain_percentiles`."""
 
 
-def run_cases() -> list[Check]:
-    """Return the checks of all cases, in the order T1, T2, ..."""
-    checks = []
-    for module in MODULES:
-        for case in module.CASES:
-            checks += case.checks()
-            sys.stdout.write(f"{case}\n")
-    return sorted(checks, key=lambda check: int(check.test[1:]))
+def validation_page(checks: list[Check]) -> str:
+    """Return docs/physics/validation.md."""
+    origin = f"Measured by `{COMMAND}`; `make docs` writes this page from [validation.json](validation.json)."
+    return f"# Validation, every number\n\n{origin}\n\n{to_table(checks)}"
+
+
+def physics_page(page: str, checks: list[Check], strains: Sequence[Mapping[str, Any]]) -> str:
+    """Return docs/physics.md with its tables made anew; the rest of it is written by hand."""
+    return insert("strain table", to_strain_table(strains), insert("validation table", to_summary(checks), page))
 
 
 def to_table(checks: list[Check]) -> str:
@@ -74,21 +66,21 @@ def to_summary(checks: list[Check]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def to_strain_table() -> str:
+def to_strain_table(strains: Sequence[Mapping[str, Any]]) -> str:
     """Return one line per resolution of a cloth that is dragged by its corners."""
     lines = ["| nodes | substeps | all corners the same way | each corner its own way | without wrinkling | shortest 1 % |"]
     lines.append("|--:|--:|--:|--:|--:|--:|")
-    for num_nodes in (100, 225, 1225):
-        percents = " | ".join(f"{100.0 * strain:.1f} %" for strain in strain_percentiles(num_nodes))
-        lines.append(f"| {num_nodes:,} | {corner_cloth(num_nodes).default_substeps} | {percents} |")
+    for row in strains:
+        percents = " | ".join(f"{100.0 * row[kind]:.1f} %" for kind in STRAINS)
+        lines.append(f"| {row['nodes']:,} | {row['substeps']} | {percents} |")
     return "\n".join(lines) + "\n"
 
 
-def insert(name: str, text: str, path: Path) -> None:
+def insert(name: str, text: str, page: str) -> str:
     """Put a table between the markers of a page."""
     begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    head, rest = path.read_text().split(begin)
-    path.write_text(head + begin + text + end + rest.split(end)[1])
+    head, rest = page.split(begin)
+    return head + begin + text + end + rest.split(end)[1]
 
 
 def pick(checks: list[Check], start: str) -> list[Check]:
@@ -186,27 +178,9 @@ def save(figure: plt.Figure, path: Path) -> None:
     plt.close(figure)
 
 
-def main() -> None:
-    """Run, tabulate and plot."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path("docs/physics"), help="folder for tables and plots")
-    out = parser.parse_args().out
-    torch.set_num_threads(1)
-    out.mkdir(parents=True, exist_ok=True)
-    checks = run_cases()
-    (out / "validation.md").write_text(f"# Validation, every number\n\nMade by `{Path(__file__).name}`.\n\n{to_table(checks)}")
-    page = out.parent / "physics.md"
-    if page.exists():
-        insert("validation table", to_summary(checks), page)
-        insert("strain table", to_strain_table(), page)
-    rows = [asdict(check) | {"holds": bool(check.holds)} for check in checks]
-    (out / "validation.json").write_text(json.dumps(rows, indent=1, default=float) + "\n")
-    plot_resolution(checks, out / "resolution.png")
-    plot_cantilever(checks, out / "cantilever.png")
-    plot_pendulum(checks, out / "pendulum.png")
-    plot_friction(checks, out / "friction.png")
-    sys.stdout.write(to_summary(checks))
-
-
-if __name__ == "__main__":
-    main()
+def draw_plots(checks: list[Check], folder: Path) -> None:
+    """Draw the four plots of docs/physics.md."""
+    plot_resolution(checks, folder / "resolution.png")
+    plot_cantilever(checks, folder / "cantilever.png")
+    plot_pendulum(checks, folder / "pendulum.png")
+    plot_friction(checks, folder / "friction.png")

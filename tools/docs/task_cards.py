@@ -1,14 +1,8 @@
-"""Write docs/tasks.md: the task cards, from the docstrings of the tasks, and what was measured in them.
-
-python benchmarks/task_cards.py [--json docs/benchmarks/tasks.json] [--page docs/tasks.md]
-"""
+"""docs/tasks.md: the task cards, from the docstrings of the tasks, and what was measured in them."""
 
 from __future__ import annotations
 
-import argparse
 import inspect
-import json
-from pathlib import Path
 from typing import Any
 
 from mani_skill.utils.registration import REGISTERED_ENVS
@@ -16,20 +10,18 @@ from mani_skill.utils.registration import REGISTERED_ENVS
 import maniskill_grpd  # noqa: F401  (registers the tasks)
 from maniskill_grpd.tasks import DeformableEnv
 
-COMMAND = "python benchmarks/tasks.py --json docs/benchmarks/tasks.json --page docs/tasks.md"
+COMMAND = "python benchmarks/tasks.py --json docs/benchmarks/tasks.json"
 POLICIES = ("random", "still", "push", "expert")
 
 
-def write_page(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Write the page.
+def tasks_page(rows: list[dict[str, Any]]) -> str:
+    """Return the page.
 
     Args:
-        path: The page.
         rows: What `benchmarks/tasks.py` measured.
     """
     cards = [card(uid) for uid, spec in sorted(REGISTERED_ENVS.items()) if issubclass(spec.cls, DeformableEnv)]
-    parts = ["# Tasks", tables(rows), *cards]
-    path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    return "\n\n".join(["# Tasks", tables(rows), *cards]) + "\n"
 
 
 def card(uid: str) -> str:
@@ -73,7 +65,9 @@ def tables(rows: list[dict[str, Any]]) -> str:
     for row in timed:
         spread = f"{row['min']:,.0f} - {row['max']:,.0f}"
         lines.append(f"| {row['env']} | {row['env_steps_per_s']:,.0f} | {spread} | {row['ratio']:.2f} |")
-    return "\n".join([*lines, "", f"`{COMMAND}`"])
+    return "\n".join(
+        [*lines, "", f"Measured by `{COMMAND}`; `make docs` writes this page from it and from the docstrings of the tasks."]
+    )
 
 
 def _by_configuration(rows: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
@@ -94,16 +88,3 @@ def _bullets(lines: list[str]) -> str:
         else:
             entries[-1] += f" {line}"
     return "\n".join(entries)
-
-
-def main() -> None:
-    """Parse the command line and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, default=Path("docs/benchmarks/tasks.json"), help="rows of benchmarks/tasks.py")
-    parser.add_argument("--page", type=Path, default=Path("docs/tasks.md"), help="page to write")
-    arguments = parser.parse_args()
-    write_page(arguments.page, json.loads(arguments.json.read_text(encoding="utf-8")))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,40 @@
+"""The pages of docs/ that are text made of measurements, by name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tests.physics.validation.record import Check
+from tools.docs import benchmark_pages, physics_validation
+from tools.docs.task_cards import tasks_page
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def pages() -> dict[str, str]:
+    """Return the text of each page, by its name within docs/."""
+    checks, strains = _checks(), _rows("physics/strain.json")
+    return {
+        "tasks.md": tasks_page(_rows("benchmarks/tasks.json")),
+        "benchmarks/env.md": benchmark_pages.env_page(_rows("benchmarks/env.json")),
+        "benchmarks/physics.md": benchmark_pages.physics_page(_rows("benchmarks/physics.json")),
+        "benchmarks/policy.md": benchmark_pages.policy_page(_rows("benchmarks/policy.json")),
+        "benchmarks/train.md": benchmark_pages.train_page(_rows("benchmarks/train.json")),
+        "physics/validation.md": physics_validation.validation_page(checks),
+        "physics.md": physics_validation.physics_page((DOCS / "physics.md").read_text(encoding="utf-8"), checks, strains),
+    }
+
+
+def draw_physics() -> None:
+    """Draw the plots of the validation of the physics."""
+    physics_validation.draw_plots(_checks(), DOCS / "physics")
+
+
+def _checks() -> list[Check]:
+    return [Check(**{key: row[key] for key in row if key != "holds"}) for row in _rows("physics/validation.json")]
+
+
+def _rows(name: str) -> list[dict[str, Any]]:
+    return json.loads((DOCS / name).read_text(encoding="utf-8"))
