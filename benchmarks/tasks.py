@@ -26,7 +26,7 @@ from mani_skill.utils.registration import REGISTERED_ENVS
 from tqdm import tqdm
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
-from maniskill_grpd.experts import make_expert
+from maniskill_grpd.experts import EXPERTS, make_expert
 from maniskill_grpd.tasks import DeformableEnv
 
 FIRST_SEED = 1_000_000
@@ -99,7 +99,9 @@ def measure_policies(num_episodes: int) -> list[dict[str, Any]]:
     cases = [(uid, options) for uid in task_ids() for options in CONFIGURATIONS.get(uid, ({},))]
     for uid, options in tqdm(cases, desc="policies", unit="task"):
         env = make_env(uid, min(50, num_episodes), **options)
-        policies = blind_policies(env, seed=0) | {"expert": make_expert(uid, env).act}
+        policies = blind_policies(env, seed=0)
+        if uid in EXPERTS:
+            policies["expert"] = make_expert(uid, env).act
         for name, act in policies.items():
             rows.append({"env": uid, "options": options, "policy": name, "num_episodes": num_episodes, **play(env, act, seeds)})
         env.close()

@@ -19,6 +19,26 @@ EXPERTS: dict[str, type[Expert]] = {
 """Expert classes by the id of their task."""
 
 
+def register_expert(env_id: str, expert: type[Expert]) -> None:
+    """Make an expert of one's own known to `make_expert`, and so to demonstrations, cloning, gallery and benchmarks.
+
+    Args:
+        env_id: Id of a task.
+        expert: Its class; `expert.task` is the class of the environments.
+
+    Raises:
+        TypeError: If it is no `Expert`, or does not say in which task it acts.
+        ValueError: If the task has an expert already.
+    """
+    if not (isinstance(expert, type) and issubclass(expert, Expert)):
+        raise TypeError(f"an expert must be a subclass of Expert, got {expert!r}")
+    if not hasattr(expert, "task"):
+        raise TypeError(f"{expert.__name__}.task must be the class of the environments that it acts in")
+    if EXPERTS.get(env_id, expert) is not expert:
+        raise ValueError(f"{env_id!r} has an expert already, {EXPERTS[env_id].__name__}")
+    EXPERTS[env_id] = expert
+
+
 def make_expert(env_id: str, env: Any) -> Expert:
     """Make the expert of a task.
 
@@ -48,4 +68,5 @@ __all__ = [
     "RopeShapingExpert",
     "RopeWrappingExpert",
     "make_expert",
+    "register_expert",
 ]

@@ -15,7 +15,8 @@ from mani_skill.utils.wrappers import CPUGymWrapper, RecordEpisode
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.tasks import DeformableEnv
+from maniskill_grpd.experts import EXPERTS
+from maniskill_grpd.tasks import DeformableEnv, check_task
 from maniskill_grpd.tasks.pictures.render_device import can_draw
 
 TASKS = sorted(uid for uid, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv))
@@ -61,9 +62,14 @@ def assert_equal(tree, other, rows=slice(None), other_rows=slice(None)):
         assert torch.equal(value[rows], other[path][other_rows]), path
 
 
-def test_the_four_tasks_are_registered():
-    assert TASKS == ["ClothFolding-v1", "ClothHanging-v1", "RopeShaping-v1", "RopeWrapping-v1"]
+def test_every_task_has_a_time_limit_and_an_expert():
+    assert len(TASKS) >= 4
+    assert sorted(EXPERTS) == TASKS
     assert all(REGISTERED_ENVS[uid].max_episode_steps == 100 for uid in TASKS)
+
+
+def test_every_task_keeps_its_promises(make):
+    check_task(make(4))
 
 
 @pytest.mark.parametrize("uid", TASKS)

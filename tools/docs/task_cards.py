@@ -52,7 +52,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
         "|---|" + "--:|" * len(POLICIES),
     ]
     for name, row_of in _by_configuration(played).items():
-        cells = [f"{row_of[p]['success_at_end']:.0%} ({row_of[p]['return']:.1f})" for p in POLICIES]
+        cells = [f"{row_of[p]['success_at_end']:.0%} ({row_of[p]['return']:.1f})" if p in row_of else "-" for p in POLICIES]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     lines += [
         "",

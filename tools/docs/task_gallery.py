@@ -16,27 +16,28 @@ from mani_skill.utils.sapien_utils import look_at
 from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
-from maniskill_grpd.experts import make_expert
+from maniskill_grpd.experts import EXPERTS, make_expert
 
 
 class Episode(NamedTuple):
     """What is shown of a task."""
 
-    seed: int
-    field_of_view: float
-    """Vertical field of view [rad]; that of the task's camera is wide enough for every episode."""
-    target: tuple[float, float, float]
-    """Where the camera looks [m]."""
+    seed: int = 0
+    field_of_view: float | None = None
+    """Vertical field of view [rad]; that of the task's camera, the default, is wide enough for every episode."""
+    target: tuple[float, float, float] | None = None
+    """Where the camera looks [m]; by default where that of the task does."""
     options: dict[str, Any] = {}
     """Options of the task."""
 
 
-EPISODES = {
+CLOSE_UPS = {
     "RopeShaping-v1": Episode(11, 0.8, (0.0, 0.0, 0.0)),
     "RopeWrapping-v1": Episode(8, 0.68, (0.0, 0.05, 0.0)),
     "ClothFolding-v1": Episode(3, 0.6, (0.0, 0.07, 0.0)),
     "ClothHanging-v1": Episode(1, 0.42, (0.3, 0.0, -0.25), {"release": True}),
 }
+"""Tasks that are shown closer than their cameras do."""
 STILL_SHARE = 0.6
 """Share of the way to success at which the still is taken."""
 NUM_LAST_FRAMES = 20
@@ -45,6 +46,11 @@ FRAME_TIME = 50
 """Milliseconds per frame: a control step."""
 CLIP_SIZE = 320
 """Side of the clips [pixels]."""
+
+
+def episodes() -> dict[str, Episode]:
+    """Return what is shown, by the id of the task: every task with an expert."""
+    return {env_id: CLOSE_UPS.get(env_id, Episode()) for env_id in dict.fromkeys([*CLOSE_UPS, *sorted(EXPERTS)])}
 
 
 def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
@@ -57,8 +63,9 @@ def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
     Raises:
         RuntimeError: If the expert does not succeed.
     """
-    position = REGISTERED_ENVS[env_id].cls.CAMERA_POSITION
-    camera = {"fov": episode.field_of_view, "pose": look_at(position, episode.target)}
+    task = REGISTERED_ENVS[env_id].cls
+    target = task.CAMERA_TARGET if episode.target is None else episode.target
+    camera = {"fov": episode.field_of_view or task.CAMERA_FOV, "pose": look_at(task.CAMERA_POSITION, target)}
     env = gym.make(env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options)
     env.reset(seed=episode.seed)
     expert = make_expert(env_id, env)
@@ -113,7 +120,7 @@ def main() -> None:
     folder = parser.parse_args().folder
     folder.mkdir(parents=True, exist_ok=True)
     clips = []
-    for env_id, episode in EPISODES.items():
+    for env_id, episode in episodes().items():
         frames, num_steps = play_expert(env_id, episode)
         frames[round(STILL_SHARE * num_steps)].save(folder / f"{env_id}.png", optimize=True)
         clips.append([frame.resize((CLIP_SIZE, CLIP_SIZE), Image.Resampling.BOX) for frame in frames])

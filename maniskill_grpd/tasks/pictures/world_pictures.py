@@ -68,7 +68,8 @@ class WorldPictures(MeasuredWorlds):
             has_table=self.HAS_TABLE,
         )
 
-    def _checked_drawing(self, world: int) -> Drawing:
+    def checked_drawing(self, world: int) -> Drawing:
+        """Return `drawing`, and refuse what is none."""
         drawing = self.drawing(world)
         if not isinstance(drawing, Drawing):
             raise TypeError(f"{type(self).__name__}.drawing() must return a Drawing, got {type(drawing).__name__}")
@@ -118,7 +119,7 @@ class WorldPictures(MeasuredWorlds):
     def render_human(self) -> Any:
         """Show the first world in SAPIEN's viewer."""
         self.evaluate()
-        self._painter.show(self._checked_drawing(0))
+        self._painter.show(self.checked_drawing(0))
         return super().render_human()
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
@@ -132,7 +133,7 @@ class WorldPictures(MeasuredWorlds):
     def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
         images = []
         for world in self._drawn_worlds:
-            self._painter.show(self._checked_drawing(world), hide_goal=True)
+            self._painter.show(self.checked_drawing(world), hide_goal=True)
             images.append(super()._get_obs_sensor_data(apply_texture_transforms))
         return {
             camera: {name: torch.cat([image[camera][name] for image in images]) for name in textures}
@@ -146,7 +147,7 @@ class WorldPictures(MeasuredWorlds):
         try:
             for world in range(min(self.num_envs, MAX_DRAWN_WORLDS)):
                 self._drawn_worlds = range(world, world + 1)
-                drawing = self._checked_drawing(world)
+                drawing = self.checked_drawing(world)
                 self._painter.show(drawing)
                 picture = take_picture()
                 picture = picture if picture.ndim == 4 else picture[None]

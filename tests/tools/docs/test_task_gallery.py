@@ -13,7 +13,7 @@ def clip(color, num_frames):
 
 
 def test_every_task_is_shown():
-    assert set(task_gallery.EPISODES) == set(EXPERTS)
+    assert set(task_gallery.episodes()) == set(EXPERTS)
 
 
 def test_clips_run_side_by_side_and_wait_for_the_longest():
@@ -43,4 +43,4 @@ def test_an_expert_that_fails_is_not_shown(monkeypatch):
     monkeypatch.setattr(task_gallery, "make_expert", lambda env_id, env: Idle(env))
     monkeypatch.setattr(task_gallery, "_frame", lambda env: None)
     with pytest.raises(RuntimeError, match="RopeShaping-v1 does not succeed from seed 11"):
-        task_gallery.play_expert("RopeShaping-v1", task_gallery.EPISODES["RopeShaping-v1"])
+        task_gallery.play_expert("RopeShaping-v1", task_gallery.episodes()["RopeShaping-v1"])
