@@ -20,7 +20,7 @@ ALLOWED = {
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"trajectory", "tasks"},
     "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
-    "imitation": {"imitation", "runs", "experts", "trajectory", "learning", "policies", "graphs"},
+    "imitation": {"imitation", "runs", "experts", "tasks", "trajectory", "learning", "policies", "graphs"},
     "commands": {"commands", "runs", "imitation", "experiments", "trajectory", "learning", "policies"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}

@@ -11,19 +11,17 @@ one set of library versions only.
 from __future__ import annotations
 
 import argparse
-import hashlib
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import torch
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
 from maniskill_grpd.learning import load_checkpoint
+from maniskill_grpd.runs.fingerprint import digest, hash_trajectories
 
 ROOT = Path(__file__).parent.parent
 TASKS = ("RopeShaping-v1", "RopeWrapping-v1", "ClothFolding-v1", "ClothHanging-v1")
@@ -41,37 +39,12 @@ TRAINING_FLAGS = [
 ]
 
 
-def tensors(value: Any) -> Iterator[torch.Tensor]:
-    """Yield the tensors of a nested dictionary in the order of their names."""
-    if isinstance(value, dict):
-        for key in sorted(value):
-            yield from tensors(value[key])
-    elif isinstance(value, torch.Tensor):
-        yield value
-
-
-def digest(values: Iterator[torch.Tensor]) -> str:
-    """Return the first 16 digits of the SHA-256 of tensors, bit by bit."""
-    total = hashlib.sha256()
-    for value in values:
-        total.update(value.detach().cpu().contiguous().numpy().tobytes())
-    return total.hexdigest()[:16]
-
-
 def hash_task(env_id: str) -> str:
-    """Step a task with fixed seeds and actions and hash what it returns."""
+    """Hash the trajectories of a task."""
     env = gym.make(env_id, num_envs=NUM_WORLDS, obs_mode="graph", sim_backend="cpu", num_threads=1)
-    generator = torch.Generator().manual_seed(7)
-    seen: list[torch.Tensor] = []
-    obs, _ = env.reset(seed=11)
-    seen += tensors(obs)
-    size = env.unwrapped.single_action_space.shape[0]
-    for _ in range(NUM_STEPS):
-        action = 2.0 * torch.rand(NUM_WORLDS, size, generator=generator) - 1.0
-        obs, reward, *_ = env.step(action)
-        seen += [*tensors(obs), reward, env.unwrapped.solver.positions.clone()]
+    found = hash_trajectories(env, NUM_STEPS)
     env.close()
-    return digest(iter(seen))
+    return found
 
 
 def hash_training(flags: list[str], env_id: str = "RopeShaping-v1") -> str:
@@ -80,7 +53,7 @@ def hash_training(flags: list[str], env_id: str = "RopeShaping-v1") -> str:
         command = [sys.executable, str(ROOT / "baselines/train.py"), "--env_id", env_id, "--exp_name", "fingerprint"]
         subprocess.run([*command, *TRAINING_FLAGS, *flags], cwd=folder, check=True, stdout=subprocess.DEVNULL)
         weights = load_checkpoint(Path(folder) / "runs/fingerprint/final_ckpt.pt")["weights"]
-    return digest(iter(weights.values()))
+    return digest(weights.values())
 
 
 def main() -> None:

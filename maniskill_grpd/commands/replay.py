@@ -13,4 +13,8 @@ from maniskill_grpd.trajectory.replay import replay
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command."""
-    return report_errors(lambda: replay(arguments))
+
+    def run() -> None:
+        replay(arguments)
+
+    return report_errors(run)

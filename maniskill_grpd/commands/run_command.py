@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import itertools
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -19,8 +20,8 @@ Config = TypeVar("Config")
 MENDABLE = (ValueError, OSError, CheckpointError, NonFiniteError)
 """What the library raises where the user can help: the message says what was given and what is allowed."""
 
-BOX = "─│╭╮╰╯"
-"""Characters of the frame that tyro draws around its messages."""
+SIDES, RULES = " │", "─-"
+"""Sides of the frame that tyro draws around its messages, and what separates their parts, with and without Unicode."""
 
 
 class UsageError(Exception):
@@ -94,10 +95,10 @@ def _flags(config: type) -> list[str]:
 
 
 def _unframed(text: str) -> str:
-    """Return the first part of what tyro says, without its frame, in one line."""
-    lines = [line.strip(BOX + " ") for line in text.splitlines() if line.lstrip().startswith("│")]
-    end = lines.index("") if "" in lines else len(lines)
-    return " ".join(lines[:end]) or " ".join(text.split())
+    """Return the first part of what tyro says below a title, in one line."""
+    lines = [line.strip(SIDES) for line in text.splitlines()[1:]]
+    parts = [list(part) for is_text, part in itertools.groupby(lines, lambda line: bool(line.strip(RULES))) if is_text]
+    return " ".join(parts[0]) if parts else text
 
 
 def _report(error: Exception, code: int) -> int:

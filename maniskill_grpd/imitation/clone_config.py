@@ -41,7 +41,7 @@ class CloneConfig:
     action_noise: float = 0.3
     """noise per axis on executed, not on recorded actions, in units of the largest action"""
     train_pose_range: Literal["full", "half", "quarter"] = "quarter"
-    """share of the pose ranges that is demonstrated; quarter: start and goal within 45 degrees"""
+    """share of the pose ranges that is demonstrated; see the card of the task"""
     test_pose_range: Literal["full", "half", "quarter"] = "full"
     """share of the pose ranges that the policies are also played on"""
 

@@ -13,18 +13,21 @@ import numpy as np
 import torch
 
 from maniskill_grpd.experts import make_expert
+from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.imitation.clone_config import CloneConfig
 from maniskill_grpd.imitation.cloning_page import summarize, to_markdown
 from maniskill_grpd.imitation.demonstrations import Demonstrations, load_demonstrations, record_demonstrations
 from maniskill_grpd.imitation.expert_actor import ExpertActor
 from maniskill_grpd.imitation.regression import train_policy
 from maniskill_grpd.imitation.turned_scene import TurnedScene
-from maniskill_grpd.learning import evaluate_policy, save_checkpoint
+from maniskill_grpd.learning import TrainConfig, evaluate_policy, save_checkpoint
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.policies import Policy, make_policy
 from maniskill_grpd.runs.environments import make_env
+from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.record import RUNS, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
+from maniskill_grpd.tasks.measurement import Metric
 
 
 def clone(config: CloneConfig) -> list[dict[str, Any]]:
@@ -38,9 +41,9 @@ def clone(config: CloneConfig) -> list[dict[str, Any]]:
     """
     torch.set_num_threads(config.torch_threads)
     base = config.train_config(config.policy[0])
-    seed_env = make_env(base, 1)
-    schema = seed_env.unwrapped.graph_schema
-    seed_env.close()
+    task = describe_task(base)
+    progress = Metric(**task["progress"])
+    schema = _read_schema(base)
     # Before anything is recorded: a misspelt name should not cost a minute.
     policies = {name: _make_policy(config, name, schema) for name in config.policy}
     demonstrations = obtain_demonstrations(config, schema)
@@ -48,22 +51,27 @@ def clone(config: CloneConfig) -> list[dict[str, Any]]:
     results = []
     for name, policy in policies.items():
         run_dir = RUNS / run_name / name
-        result = {"policy": name, "num_parameters": _count_parameters(policy)}
-        result |= train_policy(policy, demonstrations, config)
-        result["rollouts"] = play(lambda env, actor=policy: actor, config)
-        write_run_record(run_dir, config, torch.device("cpu"))
-        (run_dir / "results.json").write_text(json.dumps(result, indent=1) + "\n")
-        print(f"{name}: {summarize(result)}\n  {run_dir / 'final_ckpt.pt'}")
-        save_clone(run_dir / "final_ckpt.pt", policy, config, len(demonstrations.episode))
-        results.append(result)
+        write_run_record(run_dir, config, torch.device("cpu"), task)
+        results.append(_clone_one(policy, demonstrations, config, run_dir))
+        print(f"{name}: {summarize(results[-1], progress)}\n  {run_dir / 'final_ckpt.pt'}")
     if config.markdown is not None:
         expert = play(lambda env: ExpertActor(make_expert(config.env_id, env)), config)
         config.markdown.parent.mkdir(parents=True, exist_ok=True)
-        config.markdown.write_text(to_markdown(config, results, expert, demonstrations))
+        config.markdown.write_text(to_markdown(config, results, expert, demonstrations, progress))
     return results
 
 
-def obtain_demonstrations(config: CloneConfig, schema: Any) -> Demonstrations:
+def _clone_one(policy: Policy, demonstrations: Demonstrations, config: CloneConfig, run_dir: Path) -> dict[str, Any]:
+    """Train, save, then play: what playing meets cannot cost the training."""
+    result = {"policy": policy.name, "num_parameters": _count_parameters(policy)}
+    result |= train_policy(policy, demonstrations, config)
+    save_clone(run_dir / "final_ckpt.pt", policy, config, len(demonstrations.episode))
+    result["rollouts"] = play(lambda env: policy.to(env.unwrapped.device), config)
+    (run_dir / "results.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def obtain_demonstrations(config: CloneConfig, schema: GraphSchema) -> Demonstrations:
     """Record or load what is to be learned."""
     if config.demonstrations is not None:
         return load_demonstrations(config.demonstrations, schema)
@@ -111,7 +119,14 @@ def play(make_actor: Callable[[gym.Env], Any], config: CloneConfig) -> dict[str,
     return means
 
 
-def _make_policy(config: CloneConfig, name: str, schema: Any) -> Policy:
+def _read_schema(task: TrainConfig) -> GraphSchema:
+    env = make_env(task, 1)
+    schema = env.unwrapped.graph_schema
+    env.close()
+    return schema
+
+
+def _make_policy(config: CloneConfig, name: str, schema: GraphSchema) -> Policy:
     torch.manual_seed(config.seed)
     return make_policy(name, schema, **config.train_config(name).policy_options)
 

@@ -8,12 +8,13 @@ from typing import Any
 from maniskill_grpd.imitation.clone_config import CloneConfig
 from maniskill_grpd.imitation.demonstrations import Demonstrations
 from maniskill_grpd.runs.record import to_arguments
+from maniskill_grpd.tasks.measurement import Metric
 
 
-def summarize(result: dict[str, Any]) -> str:
-    """Return the results of a policy in one line."""
+def summarize(result: dict[str, Any], progress: Metric) -> str:
+    """Return the results of a policy in one line, with what measures the progress of its task."""
     played = ", ".join(
-        f"success at {poses} poses {means['success_at_end']:.0%} (mean distance {100 * means['mean_distance']:.1f} cm)"
+        f"success at {poses} poses {means['success_at_end']:.0%} ({progress.format(means[progress.name])})"
         for poses, means in result["rollouts"].items()
     )
     return (
@@ -23,22 +24,34 @@ def summarize(result: dict[str, Any]) -> str:
 
 
 def to_markdown(
-    config: CloneConfig, results: list[dict[str, Any]], expert: dict[str, dict[str, float]], demonstrations: Demonstrations
+    config: CloneConfig,
+    results: list[dict[str, Any]],
+    expert: dict[str, dict[str, float]],
+    demonstrations: Demonstrations,
+    progress: Metric,
 ) -> str:
-    """Format the results of all policies, and what they can be held against, as a page."""
+    """Format the results of all policies, and what they can be held against, as a page.
+
+    Args:
+        config: Options of the cloning.
+        results: Those of each policy.
+        expert: Means of the expert's episodes, by the name of the poses.
+        demonstrations: What was learned.
+        progress: What measures the progress of the task.
+    """
     ranges = list(expert)
     lines = [
         "| policy | parameters | validation error | "
-        + " | ".join(f"success, {name} | mean distance, {name} [cm]" for name in ranges)
+        + " | ".join(f"success, {name} | {progress.label}, {name}" for name in ranges)
         + " | training, CPU s |",
         "|---|--:|--:|" + "--:|--:|" * len(ranges) + "--:|",
     ]
     for result in results:
         cells = [result["policy"], f"{result['num_parameters']:,}", f"{result['validation_error']:.1%}"]
-        cells += _rollout_cells(result["rollouts"], ranges)
+        cells += _rollout_cells(result["rollouts"], ranges, progress)
         cells.append(f"{result['cpu_seconds']:.0f}")
         lines.append("| " + " | ".join(cells) + " |")
-    lines.append("| " + " | ".join(["(expert)", "", "", *_rollout_cells(expert, ranges), ""]) + " |")
+    lines.append("| " + " | ".join(["(expert)", "", "", *_rollout_cells(expert, ranges, progress), ""]) + " |")
     return PAGE.format(
         command="maniskill-grpd clone " + shlex.join(to_arguments(config)),
         demonstrated=_describe_source(config, demonstrations),
@@ -61,7 +74,7 @@ Every policy learned from the same {demonstrated} of {env_id} ({task}),
 
 - *validation error*: root mean square of |mean - expert's action| on held-out episodes, over that of the expert's action.
 - *success*: share of {num_test_episodes} episodes, on unseen seeds, that end in success, acting with the mean.
-- *{train_pose_range} turned*: poses of the demonstrated range, then rope and goal turned together by 90 to 270 degrees: no
+- *{train_pose_range} turned*: poses of the demonstrated range, then the whole scene turned by 90 to 270 degrees: no
   demonstration had such an orientation, and nothing else differs.
 - *{test_pose_range}*: start and goal are drawn independently from the {test_pose_range} range: other orientations, and also
   larger ways and angles between start and goal than were demonstrated.
@@ -74,15 +87,14 @@ def _describe_source(config: CloneConfig, demonstrations: Demonstrations) -> str
         return f"{demonstrations.num_episodes} episodes in {config.demonstrations.name}"
     return (
         f"{demonstrations.num_episodes} episodes of the expert (the first {config.num_steps} steps "
-        f"of each; start and goal from the {config.train_pose_range} pose range, a quarter being "
-        f"within 45 degrees and 3.75 cm of the middle; noise of {config.action_noise} of the "
+        f"of each; start and goal from the {config.train_pose_range} pose range; noise of {config.action_noise} of the "
         "largest action on executed, not on recorded actions)"
     )
 
 
-def _rollout_cells(rollouts: dict[str, dict[str, float]], ranges: list[str]) -> list[str]:
+def _rollout_cells(rollouts: dict[str, dict[str, float]], ranges: list[str], progress: Metric) -> list[str]:
     cells = []
     for name in ranges:
         means = rollouts[name]
-        cells += [f"{means['success_at_end']:.0%}", f"{100 * means['mean_distance']:.1f}"]
+        cells += [f"{means['success_at_end']:.0%}", f"{means[progress.name]:.3g}"]
     return cells

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import require_positive
+from maniskill_grpd.learning.options import require_positive
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import load_policy
 from maniskill_grpd.runs.play import change_task, play

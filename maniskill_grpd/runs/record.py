@@ -8,21 +8,30 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 import maniskill_grpd
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.processor import processor_name
+from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.options.env_id import check_env_id
 
 RUNS = Path("runs")
 """Folder of all runs, below the present one."""
 
 _PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
+
+
+class Recordable(Protocol):
+    """Options that a record can hold."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain types."""
 
 
 def make_run_name(config: TrainConfig) -> str:
@@ -46,12 +55,23 @@ def to_arguments(config: TrainConfig) -> list[str]:
     return arguments
 
 
-def write_run_record(run_dir: Path, config: TrainConfig, device: torch.device, num_processes: int = 1) -> None:
-    """Write config.json: options, versions, commit, machine; enough to make the run again."""
+def write_run_record(
+    run_dir: Path, config: Recordable, device: torch.device, task: Mapping[str, Any], num_processes: int = 1
+) -> None:
+    """Write config.json: options, versions, commit, machine; enough to make the run again.
+
+    Args:
+        run_dir: Folder of the run; made where it is missing.
+        config: Options of the run.
+        device: Where the policy is trained.
+        task: What `describe_task` says about the task.
+        num_processes: Processes that train together.
+    """
     record = {
         "config": config.to_dict(),
         "command": sys.argv,
         "num_processes": num_processes,
+        **task,
         "device": str(device),
         "device_name": torch.cuda.get_device_name(device) if device.type == "cuda" else processor_name(),
         "python": platform.python_version(),
@@ -80,6 +100,15 @@ def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig
     config = TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8"))["config"])
     check_env_id(config.env_id, str(path), allow_import=allow_import)
     return config
+
+
+def read_progress(run_dir: Path) -> Metric | None:
+    """Return what measures the progress of a run, None where there is no record of it."""
+    path = run_dir / "config.json"
+    if not path.is_file():
+        return None
+    found = json.loads(path.read_text(encoding="utf-8")).get("progress")
+    return None if found is None else Metric(**found)
 
 
 def _package_versions() -> dict[str, str]:

@@ -14,6 +14,7 @@ from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.workers import Workers, join_workers
 from maniskill_grpd.policies import make_policy
 from maniskill_grpd.runs.environments import make_vector_env
+from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
 from maniskill_grpd.runs.record import RUNS, make_run_name, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
@@ -47,7 +48,7 @@ def train(config: TrainConfig) -> Path:
     elif config.checkpoint:
         trainer.load_weights(config.checkpoint)
     if workers.is_first:
-        write_run_record(run_dir, config, trainer.envs.device, workers.size)
+        write_run_record(run_dir, config, trainer.envs.device, describe_task(config), workers.size)
     trainer.train()
     if workers.is_first:
         finish(trainer)

@@ -20,6 +20,15 @@ class Metric:
     name: str
     unit: str
 
+    @property
+    def label(self) -> str:
+        """Name and unit, as axes and tables show them."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def format(self, value: float) -> str:
+        """Return a value with its name and unit, in three digits."""
+        return f"{self.name} {value:.3g} {self.unit}".rstrip()
+
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:

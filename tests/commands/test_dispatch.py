@@ -11,6 +11,7 @@ pytest.importorskip("mani_skill")
 
 from maniskill_grpd.commands import COMMANDS, main
 from maniskill_grpd.commands.dispatch import describe_unknown
+from maniskill_grpd.commands.run_command import _unframed
 
 PACKAGE = Path(importlib.import_module("maniskill_grpd").__file__).parent
 NOT_COMMANDS = {"__init__", "dispatch", "run_command"}
@@ -57,6 +58,40 @@ def test_an_unknown_option_is_one_line_with_those_there_are(name, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert "--no_such_option" in line
     assert "takes --" in line or "required" in line
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--seed", "x"], "error: Error parsing --seed: invalid literal for int() with base 10: 'x'"),
+        (["--algorithm", "trpo"], "error: invalid choice 'trpo' for argument '--algorithm'. Expected one of ('bpp', 'ppo')."),
+        (["--gamma", "3"], "error: Error parsing TrainConfig: gamma must lie in [0, 1], got 3.0"),
+    ],
+)
+def test_a_wrong_value_is_one_line_without_a_frame(words, message, capsys):
+    assert main(["train", *words]) == 2
+    assert capsys.readouterr().err.splitlines() == [message]
+
+
+FRAMED = """╭─ Error ───╮
+│ wrong is  │
+│ --x       │
+│ ───────── │
+│ see help  │
+╰───────────╯
+"""
+PLAIN = """ Error
+ ---------
+  wrong is
+  --x
+  ---------
+  see help
+"""
+
+
+@pytest.mark.parametrize("text", [FRAMED, PLAIN])
+def test_messages_are_taken_out_of_their_frames(text):
+    assert _unframed(text) == "wrong is --x"
 
 
 def test_scripts_of_baselines_forward_to_commands():

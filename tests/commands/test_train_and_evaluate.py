@@ -72,7 +72,7 @@ def test_resuming_cannot_change_the_task(run_dir, monkeypatch, capsys):
 
 def test_bad_options_are_explained(capsys):
     assert train.main(["--algorithm", "trpo"]) == 2
-    assert "one of bpp, ppo" in capsys.readouterr().err
+    assert "Expected one of ('bpp', 'ppo')" in capsys.readouterr().err
 
 
 def test_free_grasps_are_trained_and_played_with_a_gripper_output(tmp_path, monkeypatch, capsys):

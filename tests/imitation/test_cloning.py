@@ -11,7 +11,8 @@ pytest.importorskip("mani_skill")
 from mani_skill.utils.wrappers.record import RecordEpisode
 
 from maniskill_grpd.commands import clone, evaluate, train
-from maniskill_grpd.experts import make_expert
+from maniskill_grpd.experts import EXPERTS, make_expert
+from maniskill_grpd.imitation import cloning
 from maniskill_grpd.imitation.clone_config import CloneConfig
 from maniskill_grpd.imitation.demonstrations import Demonstrations, load_demonstrations, record_demonstrations
 from maniskill_grpd.imitation.regression import mean_squared_error, negative_log_likelihood, relative_error, train_policy
@@ -182,6 +183,27 @@ def test_every_policy_leaves_its_results(run_dir):
     page = (run_dir.parents[1] / "page.md").read_text()
     for row in ("| grpd |", "| transformer |", "| (expert) |"):
         assert row in page
+    assert "| success, full | mean_distance [m], full |" in page
+
+
+@pytest.mark.parametrize("env_id", sorted(EXPERTS))
+def test_the_expert_of_every_task_is_cloned(env_id, tmp_path, monkeypatch, capsys):
+    """Where a task measures no mean distance, cloning died between training and saving."""
+    monkeypatch.chdir(tmp_path)
+    sizes = "--num_episodes 2 --num_steps 3 --epochs 1 --batch_size 3 --validation_share 0.5 --num_test_episodes 1"
+    options = ["--env_id", env_id, "--env_kwargs", "graph_nodes=6", "resolution=36", "max_episode_steps=4", "--exp_name", "tiny"]
+    assert clone.main([*options, *sizes.split()]) == 0
+    record = json.loads((tmp_path / "runs/tiny/grpd/config.json").read_text())
+    assert f"({record['progress']['name']} " in capsys.readouterr().out
+    assert load_checkpoint(tmp_path / "runs/tiny/grpd/final_ckpt.pt")["train_config"]["env_id"] == env_id
+
+
+def test_what_was_trained_is_saved_before_it_is_played(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cloning, "play", lambda *_: pytest.fail("playing broke off"))
+    with pytest.raises(pytest.fail.Exception, match="playing broke off"):
+        clone.main(["--exp_name", "tiny", *TINY])
+    assert load_checkpoint(tmp_path / "runs/tiny/grpd/final_ckpt.pt")["global_step"] == 6 * 15
 
 
 def test_expert_row_is_the_ceiling(run_dir):
