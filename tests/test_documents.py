@@ -73,6 +73,14 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path):
     assert broken_links(page) == ["x.png", "other.md#no", "#there"]
 
 
+def test_the_programs_of_the_page_about_materials_run():
+    pytest.importorskip("mani_skill")
+    programs = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "own_material.md").read_text(), re.MULTILINE | re.DOTALL)
+    assert len(programs) == 2
+    for program in programs:
+        exec(program, {})
+
+
 def test_the_citation_has_the_version_of_the_package_and_names_the_paper_as_the_readme_does():
     citation = (ROOT / "CITATION.cff").read_text()
     assert f"\nversion: {__version__}\n" in citation

@@ -100,13 +100,14 @@ def test_what_the_code_cites_stands_in_the_map(path):
     assert cited_sections(text) <= mapped_sections()
 
 
-def test_every_symbol_that_the_map_names_exists():
-    named = _CODE.findall(PAGE.read_text())
-    assert len(named) > 60
+@pytest.mark.parametrize(("page", "at_least"), [("paper.md", 60), ("own_material.md", 10)])
+def test_every_symbol_that_a_page_names_exists(page, at_least):
+    named = _CODE.findall((PAGE.parent / page).read_text())
+    assert len(named) > at_least
     for name, symbol in named:
-        path = (ROOT if name.startswith("tests/") else PACKAGE) / name
-        assert path.is_file(), f"docs/paper.md names {name}, which does not exist"
-        assert not symbol or symbol in symbols(path), f"docs/paper.md names {symbol} in {name}, where it does not exist"
+        path = (ROOT if name.startswith(("tests/", "tools/")) else PACKAGE) / name
+        assert path.is_file(), f"docs/{page} names {name}, which does not exist"
+        assert not symbol or symbol in symbols(path), f"docs/{page} names {symbol} in {name}, where it does not exist"
 
 
 @pytest.mark.parametrize(

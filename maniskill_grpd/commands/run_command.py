@@ -1,4 +1,4 @@
-"""The one way in which commands parse their options, run, and report what the user can mend."""
+"""The one way in which commands parse their options, run, and report what the user can fix."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run_command(function: Callable[[Config], Any], config: type[Config], argumen
 
 
 def report_errors(run: Callable[[], Any]) -> int:
-    """Call a function, report what the user can mend in one line, and return the exit code, see `run_command`."""
+    """Call a function, report what the user can fix in one line, and return the exit code, see `run_command`."""
     try:
         result = run()
     except UsageError as error:

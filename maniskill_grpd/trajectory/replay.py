@@ -165,7 +165,7 @@ def _wanted(options: ReplayOptions, info: dict[str, Any], truncated: torch.Tenso
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Replay; report what the user can mend in one line instead of a traceback."""
+    """Replay; report what the user can fix in one line instead of a traceback."""
     try:
         replay(arguments)
     except (OSError, ValueError) as error:
