@@ -14,14 +14,14 @@ ALLOWED = {
     "graphs": {"graphs"},
     "policies": {"policies", "graphs"},
     "learning": {"learning", "graphs", "policies"},
-    "experiments": {"experiments", "learning", "graphs", "policies"},
+    "experiments": {"experiments", "runs", "learning", "graphs", "policies", "program"},
     "agents": {"agents", "physics"},
     "tasks": {"tasks", "agents", "graphs", "physics"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"trajectory", "tasks"},
     "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
     "imitation": {"imitation", "runs", "experts", "tasks", "trajectory", "learning", "policies", "graphs"},
-    "commands": {"commands", "runs", "imitation", "experiments", "trajectory", "learning", "policies"},
+    "commands": {"commands", "program", "runs", "imitation", "experiments", "trajectory", "learning", "policies"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
 FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning", "experiments"}
@@ -96,7 +96,7 @@ def test_policies_and_learning_import_without_the_simulator():
         "u.find_spec = lambda name, *a: None if name == 'mani_skill' else find(name, *a)\n"
         "for name in ('mani_skill', 'sapien'): sys.modules[name] = None\n"
         "import maniskill_grpd.physics, maniskill_grpd.graphs, maniskill_grpd.policies, maniskill_grpd.learning\n"
-        "import maniskill_grpd.experiments.pages\n"
+        "import maniskill_grpd.experiments.run_study, maniskill_grpd.experiments.sweep\n"
     )
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -7,13 +7,16 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-PROGRAM = "maniskill-grpd"
+from maniskill_grpd.program import PROGRAM
 
 COMMANDS = {
     "train": "train a policy on a task, or resume a training",
     "evaluate": "play a checkpoint on unseen start and goal poses",
     "evaluate_expert": "play the scripted expert of a task, the reference of its policies",
     "clone": "clone the expert of a task, and compare policies by it",
+    "study": "run one of the studies of the paper's claims, and write its page",
+    "sweep": "train every combination of some options",
+    "evaluate_study": "test a checkpoint under every condition of a study",
     "record": "record demonstrations of an expert in ManiSkill's trajectory format",
     "replay": "replay recorded trajectories, in another observation mode for instance",
     "inspect": "draw what a policy looks at",

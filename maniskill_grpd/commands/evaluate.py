@@ -12,10 +12,10 @@ import dataclasses
 from collections.abc import Sequence
 
 from maniskill_grpd.commands.run_command import run_command
+from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.runs.checkpoint_card import write_card
 from maniskill_grpd.runs.episodes import describe_episodes, write_episodes
 from maniskill_grpd.runs.evaluation import Evaluation, EvaluationConfig, evaluate
-from maniskill_grpd.runs.record import to_arguments
 from maniskill_grpd.runs.video import record_video
 
 

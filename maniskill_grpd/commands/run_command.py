@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import tyro
 
-from maniskill_grpd.commands.dispatch import PROGRAM
 from maniskill_grpd.learning import CheckpointError, NonFiniteError
+from maniskill_grpd.program import PROGRAM
 
 Config = TypeVar("Config")
 

@@ -15,6 +15,7 @@ from maniskill_grpd.experiments.studies import STUDIES
 from maniskill_grpd.experiments.study import Study
 from maniskill_grpd.experiments.study_data import StudyData
 from maniskill_grpd.experiments.tables import NOT_RUN, claim_table, markdown_table, score_table
+from maniskill_grpd.program import command_line
 
 DATA_FOLDER = "data"
 """Folder of the CSV files, beside the pages."""
@@ -110,7 +111,8 @@ def _provenance(data: StudyData) -> str:
 
 
 def _command(study: str) -> str:
-    return f"This page is written by `python baselines/ablate.py --study {study} --report --results docs/results`, not by hand."
+    words = ["study", "--study", study, "--report", "--output", "docs/results"]
+    return f"This page is written by `{command_line(words)}`, not by hand."
 
 
 def _draw(data: StudyData, kind: str, folder: Path) -> Path | None:

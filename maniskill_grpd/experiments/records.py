@@ -37,7 +37,7 @@ def run_row(name: str, run_dir: Path, state: str) -> Row:
     record_path = run_dir / "config.json"
     if not record_path.exists():
         return row
-    record = json.loads(record_path.read_text(encoding="utf-8"))
+    record = read_json(record_path)
     config, git = record["config"], record["git"] or {}
     row |= {
         "env_id": config["env_id"],
@@ -91,7 +91,7 @@ def curve_rows(name: str, run_dir: Path) -> Iterator[Row]:
 def test_rows(name: str, run_dir: Path) -> Iterator[Row]:
     """Yield a row for each test of a run: condition, episodes and the mean of every metric over them, or why it failed."""
     for path in sorted((run_dir / TEST_FOLDER).glob("*.json")):
-        test = json.loads(path.read_text(encoding="utf-8"))
+        test = read_json(path)
         yield {
             "run": name,
             "condition": test["condition"],
@@ -103,6 +103,29 @@ def test_rows(name: str, run_dir: Path) -> Iterator[Row]:
             "error": test.get("error", ""),
             **test.get("mean", {}),
         }
+
+
+def is_played(path: Path, plan: Row) -> bool:
+    """Return whether a file holds the results of the test that is planned."""
+    if not path.exists():
+        return False
+    found = read_json(path)
+    return "error" not in found and all(found.get(key) == value for key, value in plan.items())
+
+
+def read_json(path: Path) -> Row:
+    """Read a file that holds one JSON object.
+
+    Raises:
+        ValueError: Naming file and line, if it is damaged.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}, line {error.lineno}: damaged ({error.msg}); move it away") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{path}, line 1: damaged (no JSON object); move it away")
+    return found
 
 
 def _curve(rows: list[Row], tag: str) -> Curve | None:

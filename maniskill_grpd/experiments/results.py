@@ -16,6 +16,12 @@ from maniskill_grpd.experiments.study import Run
 FILES = {"runs": ("run",), "tests": ("run", "condition"), "curves": ("run", "step")}
 """Tables and what tells their rows apart."""
 
+STATES = ("finished", "failed")
+IDENTITY = {"run", "state", "env_id", "policy", "algorithm", "config", "condition", "env_kwargs", "error"}
+MACHINE = {"device", "device_name", "python", "versions", "commit", "dirty"}
+TEXT_COLUMNS = IDENTITY | MACHINE
+"""Columns of any table that hold text; all others hold a number or nothing."""
+
 
 @dataclass(frozen=True)
 class Results:
@@ -53,8 +59,12 @@ class Results:
 
 
 def load_results(folder: Path) -> Results:
-    """Read the three files of a folder; a missing one has no rows."""
-    runs, tests, curves = (_read(folder / f"{name}.csv") for name in FILES)
+    """Read the three files of a folder; a missing one has no rows.
+
+    Raises:
+        ValueError: If one is damaged, naming file and line.
+    """
+    runs, tests, curves = (_read(folder / f"{name}.csv", keys) for name, keys in FILES.items())
     by_run: dict[str, list[Row]] = {}
     for row in curves:
         by_run.setdefault(row["run"], []).append(row)
@@ -62,30 +72,70 @@ def load_results(folder: Path) -> Results:
 
 
 def save_runs(folder: Path, runs: Iterable[tuple[str, Path, str]]) -> None:
-    """Add runs, given as (name, folder, state), to the files of a folder, in place of what these say of them."""
+    """Add runs, given as (name, folder, state), to the files of a folder, in place of what these say of them.
+
+    Raises:
+        ValueError: If a file is damaged, naming file and line; nothing is written then.
+    """
     rows: dict[str, list[Row]] = {name: [] for name in FILES}
     for name, run_dir, state in runs:
         rows["runs"].append(run_row(name, run_dir, state))
         rows["tests"] += test_rows(name, run_dir)
         rows["curves"] += curve_rows(name, run_dir)
     names = {row["run"] for row in rows["runs"]}
+    kept = {table: _read(folder / f"{table}.csv", keys) for table, keys in FILES.items()}
     folder.mkdir(parents=True, exist_ok=True)
     for table, keys in FILES.items():
-        path = folder / f"{table}.csv"
-        kept = [row for row in _read(path) if row["run"] not in names]
-        _write(path, kept + rows[table], keys)
+        others = [row for row in kept[table] if row["run"] not in names]
+        _write(folder / f"{table}.csv", others + rows[table], keys)
 
 
-def _read(path: Path) -> list[Row]:
+def _read(path: Path, keys: Sequence[str]) -> list[Row]:
+    """Read the rows of a table.
+
+    Raises:
+        ValueError: If the file is damaged, naming file and line.
+    """
     if not path.exists():
         return []
+    rows: dict[tuple[str, ...], Row] = {}
     with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+        reader = csv.DictReader(file, strict=True)
+        try:
+            missing = [key for key in keys if key not in (reader.fieldnames or ())]
+            if missing:
+                raise ValueError(f"no column {', '.join(missing)}")
+            for row in reader:
+                _check_row(row, len(reader.fieldnames))
+                identity = tuple(row[key] for key in keys)
+                if identity in rows:
+                    raise ValueError(f"a second row of {', '.join(identity)}")
+                rows[identity] = row
+        except csv.Error as error:  # in the row after the last one that could be read
+            raise ValueError(f"{path}, line {reader.line_num + 1}: {error}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}, line {max(1, reader.line_num)}: {error}") from error
+    return list(rows.values())
+
+
+def _check_row(row: Row, num_columns: int) -> None:
+    """Refuse a row of another length than the head, or with text for a number."""
+    if None in row or None in row.values():
+        num_fields = sum(value is not None for key, value in row.items() if key is not None) + len(row.get(None, ()))
+        raise ValueError(f"{num_fields} fields, where the head has {num_columns}")
+    if row.get("state", STATES[0]) not in STATES:
+        raise ValueError(f"state must be {' or '.join(STATES)}, got {row['state']!r}")
+    for column, text in row.items():
+        if column not in TEXT_COLUMNS and text != "":
+            try:
+                float(text)
+            except ValueError:
+                raise ValueError(f"{column} must be a number, got {text!r}") from None
 
 
 def _write(path: Path, rows: Sequence[Row], keys: Sequence[str]) -> None:
-    """Write rows sorted by their keys, columns in the order in which they first appear."""
-    columns = list(dict.fromkeys(column for row in rows for column in row))
+    """Write rows sorted by their keys, columns in the order in which they first appear, keys first."""
+    columns = list(dict.fromkeys([*keys, *(column for row in rows for column in row)]))
     temporary = path.with_suffix(".tmp")
     with temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")

@@ -25,7 +25,8 @@ from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.policies import Policy, make_policy
 from maniskill_grpd.runs.environments import make_env
 from maniskill_grpd.runs.fingerprint import describe_task
-from maniskill_grpd.runs.record import RUNS, write_run_record
+from maniskill_grpd.runs.folder import RUNS
+from maniskill_grpd.runs.record import write_run_record
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 from maniskill_grpd.tasks.measurement import Metric
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from maniskill_grpd.imitation.clone_config import CloneConfig
 from maniskill_grpd.imitation.demonstrations import Demonstrations
-from maniskill_grpd.runs.record import to_arguments
+from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.tasks.measurement import Metric
 
 

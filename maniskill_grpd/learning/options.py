@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from collections.abc import Mapping
@@ -105,3 +106,17 @@ def parse_options(name: str, pairs: tuple[str, ...]) -> dict[str, Any]:
         except json.JSONDecodeError:
             options[key] = text
     return options
+
+
+def to_arguments(config: Any) -> list[str]:
+    """Return the words of a command line that give the options of a dataclass that are not at their defaults."""
+    arguments = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if value == field.default:
+            continue
+        if isinstance(value, bool):
+            arguments.append(f"--{field.name}" if value else f"--no_{field.name}")
+        else:
+            arguments += [f"--{field.name}", *(map(str, value) if isinstance(value, tuple) else [str(value)])]
+    return arguments

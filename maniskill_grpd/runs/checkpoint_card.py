@@ -11,9 +11,9 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.episodes import describe_episodes
-from maniskill_grpd.runs.record import to_arguments
 
 UNIMPORTANT = frozenset({"checkpoint", "exp_name", "resume", "capture_video"})
 """Options that say nothing about what was trained."""

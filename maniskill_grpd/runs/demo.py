@@ -16,8 +16,9 @@ from maniskill_grpd.learning import TrainConfig, evaluate_policy
 from maniskill_grpd.runs.environments import make_vector_env
 from maniskill_grpd.runs.episodes import describe_episodes
 from maniskill_grpd.runs.fingerprint import describe_task
+from maniskill_grpd.runs.folder import RUNS
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
-from maniskill_grpd.runs.record import RUNS, write_run_record
+from maniskill_grpd.runs.record import write_run_record
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 from maniskill_grpd.runs.training import make_trainer
 from maniskill_grpd.runs.video import record_video

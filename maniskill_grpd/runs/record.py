@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import platform
 import subprocess
@@ -21,9 +20,6 @@ from maniskill_grpd.processor import processor_name
 from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.options.env_id import check_env_id
 
-RUNS = Path("runs")
-"""Folder of all runs, below the present one."""
-
 _PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
 
 
@@ -39,20 +35,6 @@ def make_run_name(config: TrainConfig) -> str:
     if config.exp_name is not None:
         return config.exp_name
     return f"{config.env_id}__{config.policy}_{config.algorithm}__{config.seed}__{int(time.time())}"
-
-
-def to_arguments(config: TrainConfig) -> list[str]:
-    """Return the command line that gives the options that are not at their defaults."""
-    arguments = []
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if value == field.default:
-            continue
-        if isinstance(value, bool):
-            arguments.append(f"--{field.name}" if value else f"--no_{field.name}")
-        else:
-            arguments += [f"--{field.name}", *(map(str, value) if isinstance(value, tuple) else [str(value)])]
-    return arguments
 
 
 def write_run_record(

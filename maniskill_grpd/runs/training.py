@@ -15,8 +15,9 @@ from maniskill_grpd.learning.workers import Workers, join_workers
 from maniskill_grpd.policies import make_policy
 from maniskill_grpd.runs.environments import make_vector_env
 from maniskill_grpd.runs.fingerprint import describe_task
+from maniskill_grpd.runs.folder import RUNS
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
-from maniskill_grpd.runs.record import RUNS, make_run_name, write_run_record
+from maniskill_grpd.runs.record import make_run_name, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
 from maniskill_grpd.runs.video import record_video
 

@@ -92,3 +92,63 @@ def test_a_training_without_evaluations_still_has_times():
 def test_no_files_are_no_results(tmp_path):
     results = load_results(tmp_path)
     assert (results.runs, results.state(RUN)) == ({}, "not run")
+
+
+@pytest.mark.parametrize(
+    ("table", "damage", "message"),
+    [
+        ("runs", lambda lines: [], "runs.csv, line 1: no column run"),
+        ("runs", lambda lines: [lines[0].replace("run,", "name,", 1), *lines[1:]], "runs.csv, line 1: no column run"),
+        ("runs", lambda lines: [*lines[:-1], lines[-1][:30]], "runs.csv, line 3: "),
+        ("runs", lambda lines: [*lines, lines[1]], "runs.csv, line 4: a second row of "),
+        (
+            "runs",
+            lambda lines: [lines[0], lines[1].replace("finished", "fnished"), lines[2]],
+            "line 2: state must be finished or",
+        ),
+        (
+            "tests",
+            lambda lines: [*lines[:3], lines[3].rpartition(",")[0], *lines[4:]],
+            r"tests.csv, line 4: \d+ fields, where the",
+        ),
+        ("tests", lambda lines: [*lines[:-1], lines[-1] + ",9"], r"tests.csv, line 5: \d+ fields, where the head has \d+"),
+        (
+            "tests",
+            lambda lines: [lines[0], lines[1].replace("33.0", "3x3"), *lines[2:]],
+            "line 2: return must be a number, got '3x3'",
+        ),
+        (
+            "curves",
+            lambda lines: [*lines[:2], lines[2].replace("1000", "?"), *lines[3:]],
+            "curves.csv, line 3: step must be a number",
+        ),
+    ],
+    ids=["empty", "no head", "cut short", "twice", "state", "field lost", "field too many", "no number", "no step"],
+)
+def test_a_damaged_table_is_named_with_its_line_and_left_as_it_is(tmp_path, table, damage, message):
+    """It was a bare KeyError or "could not convert string to float", in a command that had trained for hours."""
+    other = run_of(EASY, OURS, seed=2)
+    runs = [(run.name, write_run(tmp_path, name=run.name), "finished") for run in (RUN, other)]
+    data = tmp_path / "data"
+    save_runs(data, runs)
+    path = data / f"{table}.csv"
+    path.write_text("\n".join(damage(path.read_text().splitlines())))
+    before = {file.name: file.read_bytes() for file in data.iterdir()}
+    with pytest.raises(ValueError, match=message) as error:
+        load_results(data)
+    assert str(path) in str(error.value)
+    with pytest.raises(ValueError, match=message):
+        save_runs(data, runs[:1])
+    assert {file.name: file.read_bytes() for file in data.iterdir()} == before
+
+
+def test_a_table_without_rows_can_be_read_again(tmp_path):
+    save_runs(tmp_path, [])
+    assert load_results(tmp_path).runs == {}
+
+
+def test_a_damaged_test_of_a_run_is_named(tmp_path):
+    run_dir = write_run(tmp_path)
+    (run_dir / "tests" / "a.json").write_text('{"condition": "as trained",\n"sig')
+    with pytest.raises(ValueError, match=r"a\.json, line 2: damaged"):
+        save_runs(tmp_path / "data", [(RUN.name, run_dir, "finished")])

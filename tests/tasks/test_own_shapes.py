@@ -11,7 +11,7 @@ from mani_skill.utils.wrappers import RecordEpisode
 
 import maniskill_grpd  # noqa: F401  (registers)
 from maniskill_grpd.experts import make_expert
-from maniskill_grpd.learning.config import parse_options
+from maniskill_grpd.learning.options import parse_options
 from maniskill_grpd.physics import square_outline
 from maniskill_grpd.tasks import CLOTH_SHAPES, GOAL_SHAPES, goal_curve, register_cloth_shape, register_goal_shape
 

@@ -1,4 +1,4 @@
-"""Where the jobs of a study run: a pool of processes on this machine, or a Slurm cluster."""
+"""Where jobs run: a pool of processes on this machine, or a Slurm cluster."""
 
 from __future__ import annotations
 
@@ -7,11 +7,19 @@ import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
-from study_jobs import RUNS, SCRIPTS, Job, run_job
+
+from maniskill_grpd.experiments.job import Job, run_job
+from maniskill_grpd.learning.options import parse_options, require_positive
+
+SLURM_DEFAULTS = {"timeout_min": 24 * 60, "cpus_per_task": 2, "name": "maniskill_grpd"}
+"""What is asked for unless the command line says otherwise."""
+SLURM_JOBS = 64
+"""Most jobs of an array at a time, unless the command line says otherwise."""
 
 
 class Launcher(ABC):
@@ -45,7 +53,7 @@ class LocalLauncher(Launcher):
     """
 
     def __init__(self, num_jobs: int | None = None) -> None:
-        self.num_jobs = num_jobs or (1 if torch.cuda.is_available() else os.cpu_count() or 1)
+        self.num_jobs = num_jobs or default_num_jobs()
         self._pool = ThreadPoolExecutor(self.num_jobs)
         self._futures: list[tuple[Job, Future[None]]] = []
         self._processes: list[subprocess.Popen[bytes]] = []
@@ -75,7 +83,7 @@ class LocalLauncher(Launcher):
         self._pool.shutdown(wait=True)
 
     def _start(self, command: Sequence[str], **settings: Any) -> subprocess.Popen[bytes]:
-        """Start a script with one thread, and remember it."""
+        """Start a process with one thread, and remember it."""
         process = subprocess.Popen(command, env={**os.environ, "OMP_NUM_THREADS": "1"}, **settings)
         self._processes.append(process)
         if self._is_stopping:
@@ -83,36 +91,58 @@ class LocalLauncher(Launcher):
         return process
 
 
+@dataclass(frozen=True)
+class Submission:
+    """What Slurm runs: a job, queued again when it is preempted or out of time."""
+
+    job: Job
+
+    def __call__(self) -> None:
+        """Run the job."""
+        run_job(self.job)
+
+    def checkpoint(self) -> Any:
+        """Return the submission that goes on (submitit calls this before the time is over)."""
+        from submitit.helpers import DelayedSubmission
+
+        return DelayedSubmission(self)
+
+
 class SlurmLauncher(Launcher):
     """Submits jobs to Slurm as one array; needs the package submitit.
 
     Args:
+        folder: For the logs of submitit and the jobs it hands over.
         num_jobs: Most jobs of the array at a time.
         parameters: What submitit asks Slurm for, such as {"slurm_partition": "gpu", "gpus_per_node": 1}.
+        cluster: Submitit's name of the cluster; "local" tries a submission without one.
 
     Raises:
-        ValueError: If submitit is not installed, or there is no Slurm here.
+        ValueError: If submitit is not installed, there is no Slurm here, or a parameter is not known.
     """
 
-    def __init__(self, num_jobs: int | None = None, parameters: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, folder: Path, num_jobs: int | None = None, parameters: Mapping[str, Any] | None = None, cluster: str = "slurm"
+    ) -> None:
         try:
             import submitit  # optional
         except ImportError as error:
             raise ValueError("--launcher slurm needs submitit: pip install submitit") from error
-        # What is submitted names functions of this folder, which the other machines must find.
-        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(SCRIPTS), os.environ.get("PYTHONPATH")]))
-        self.num_jobs = num_jobs or 64
+        self.num_jobs = num_jobs or SLURM_JOBS
         try:
-            self._executor = submitit.AutoExecutor(Path.cwd() / RUNS / ".slurm", cluster="slurm")
+            self._executor = submitit.AutoExecutor(folder.absolute(), cluster=cluster)
+            array = {"slurm_array_parallelism": self.num_jobs}
+            self._executor.update_parameters(**{**SLURM_DEFAULTS, **array, **(parameters or {})})
         except RuntimeError as error:
             raise ValueError(f"--launcher slurm: {error}") from error
-        defaults = {"timeout_min": 24 * 60, "cpus_per_task": 2, "name": "ablate"}
-        self._executor.update_parameters(slurm_array_parallelism=self.num_jobs, **{**defaults, **(parameters or {})})
+        except NameError as error:
+            raise ValueError(f"--slurm: {error}") from error
         self._submitted: list[tuple[Job, Any]] = []
 
     def launch(self, jobs: Sequence[Job]) -> None:
         """See `Launcher`."""
-        self._submitted = list(zip(jobs, self._executor.map_array(run_job, jobs), strict=True))
+        with self._executor.batch():
+            self._submitted = [(job, self._executor.submit(Submission(job))) for job in jobs]
 
     def running(self) -> list[Job]:
         """See `Launcher`."""
@@ -126,3 +156,37 @@ class SlurmLauncher(Launcher):
         """See `Launcher`."""
         for _, submitted in self._submitted:
             submitted.cancel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class LauncherConfig:
+    """Options of studies and sweeps alike: where their jobs run, and how many at a time."""
+
+    launcher: Literal["local", "slurm"] = "local"
+    """where jobs run: processes of this machine, or a Slurm cluster (needs submitit)"""
+    jobs: int | None = None
+    """jobs at a time; local: one per core, or one on a GPU, by default"""
+    slurm: tuple[str, ...] = ()
+    """what submitit asks Slurm for as key=value pairs: slurm_partition=gpu gpus_per_node=1 timeout_min=600"""
+    dry_run: bool = False
+    """list the runs and the estimated time, and stop"""
+
+    def __post_init__(self) -> None:
+        if self.jobs is not None:
+            require_positive(self, "jobs")
+        parse_options("slurm", self.slurm)
+
+    def make_launcher(self, folder: Path) -> Launcher:
+        """Make the launcher that was asked for; `folder` takes what Slurm writes."""
+        if self.launcher == "slurm":
+            return SlurmLauncher(folder / ".slurm", self.jobs, parse_options("slurm", self.slurm))
+        return LocalLauncher(self.jobs)
+
+    def num_jobs(self, num_all: int) -> int:
+        """Return how many of `num_all` jobs run at a time, for an estimate before a launcher is made."""
+        return self.jobs or (default_num_jobs() if self.launcher == "local" else min(num_all, SLURM_JOBS))
+
+
+def default_num_jobs() -> int:
+    """Return the number of jobs that this machine runs at a time: one per core, or one if there is a GPU."""
+    return 1 if torch.cuda.is_available() else os.cpu_count() or 1

@@ -4,11 +4,11 @@ import pytest
 
 pytest.importorskip("mani_skill")
 
-from run_setup import make_env
 
 from maniskill_grpd.experiments import STUDIES
 from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.runs.environments import make_env
 
 LARGEST = 400
 """Finer objects take long to build, and take the same options."""

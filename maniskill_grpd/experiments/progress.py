@@ -1,4 +1,4 @@
-"""The live table of a study's jobs."""
+"""The live table of jobs."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TextIO
 
-from estimate import format_seconds, measured_rate, seconds_left
-from study_jobs import Job
+from maniskill_grpd.experiments.estimate import format_seconds, measured_rate, seconds_left
+from maniskill_grpd.experiments.job import Job
+from maniskill_grpd.learning.run_log import read_rows
 
 REFRESH_SECONDS = 2.0
 """Between two pictures on a terminal."""
 LOG_SECONDS = 60.0
 """Between two lines where the output goes to a file."""
+SCORES = {"return": "train/return", "success": "train/success_once", "evaluated": "eval/success_at_end"}
+"""Scores of a training that are shown, and the tags of its log that they are."""
 
 
 class ProgressTable:
     """Shows how far the jobs are: on a terminal a table that is redrawn, in a file one line from time to time.
 
     Args:
-        jobs: All jobs of the study.
+        jobs: All jobs.
         num_jobs: Jobs that run at a time.
         stream: Where it goes.
     """
@@ -62,7 +65,11 @@ class ProgressTable:
 
 
 def job_line(job: Job) -> str:
-    """Return one line: name, state, steps, speed."""
-    rate = measured_rate(job)
-    speed = "" if rate is None else f"{rate:8,.0f} steps/s"
-    return f"  {job.run.name:<80} {job.state:<9} {job.steps:>11,} of {job.run.budget:<11,}{speed}"
+    """Return one line: name, state, steps, speed, latest scores."""
+    line = f"  {job.name:<80} {job.state:<9} {job.steps:>11,} of {job.total:<11,}"
+    rate = None if job.training is None else measured_rate(job.training)
+    if rate is None:
+        return line
+    last = {tag: value for row in read_rows(job.folder / "metrics.jsonl") for tag, value in row.items()}
+    scores = [f"{name} {last[tag]:.3g}" for name, tag in SCORES.items() if tag in last]
+    return "  ".join([f"{line}{rate:8,.0f} steps/s", *scores])

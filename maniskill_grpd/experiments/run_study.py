@@ -1,0 +1,102 @@
+"""Run a study: plan its jobs, run them, save what came out and write its page."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from maniskill_grpd.experiments.job import Job
+from maniskill_grpd.experiments.launchers import LauncherConfig
+from maniskill_grpd.experiments.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
+from maniskill_grpd.experiments.results import load_results, save_runs
+from maniskill_grpd.experiments.runner import list_jobs, run_jobs
+from maniskill_grpd.experiments.studies import STUDIES, find_study
+from maniskill_grpd.experiments.study import Study
+from maniskill_grpd.experiments.study_jobs import STUDY_RUNS, plan_study
+from maniskill_grpd.learning.options import parse_options, require_positive
+
+DEFAULT_BUDGET = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyConfig(LauncherConfig):
+    """Options of a study."""
+
+    study: str
+    """name of the study; with --report also "all" """
+    budget: int | None = None
+    """environment steps of each training, 1,000,000 by default; with --report those of the runs to show, by default the most"""
+    seeds: int = 3
+    """trainings of each policy on each task, with seeds from 1 up"""
+    tasks: tuple[str, ...] = ()
+    """only these tasks of the study"""
+    arms: tuple[str, ...] = ()
+    """only these policies (arms) of the study"""
+    num_episodes: int = 100
+    """episodes of each test"""
+    train_options: tuple[str, ...] = ()
+    """options of `train` for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make runs of their own,
+    which --report finds by the same options"""
+    report: bool = False
+    """run nothing; write the pages from the CSV files of the results"""
+    output: Path = STUDY_RUNS / "results"
+    """folder of the pages; its folder `data` holds the CSV files"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive(self, *(("seeds", "num_episodes") if self.budget is None else ("budget", "seeds", "num_episodes")))
+        parse_options("train_options", self.train_options)
+
+    @property
+    def studies(self) -> list[Study]:
+        """The studies meant, with the options of training that were given.
+
+        Raises:
+            ValueError: If there is no such study, listing those there are.
+        """
+        studies = STUDIES.values() if self.study == ALL and self.report else [find_study(self.study)]
+        given = parse_options("train_options", self.train_options)
+        return [dataclasses.replace(study, train_options={**study.train_options, **given}) for study in studies]
+
+
+def run_study(config: StudyConfig) -> list[Job]:
+    """Run a study, or only list it, or only write its page.
+
+    Returns:
+        The jobs that failed.
+
+    Raises:
+        ValueError: If there is no such study, task or arm, or no checkpoint to test.
+        KeyboardInterrupt: If interrupted; what has ended is saved.
+    """
+    studies = config.studies
+    failed: list[Job] = []
+    if not config.report:
+        (study,) = studies
+        study = study.restricted(config.tasks, config.arms)
+        jobs = plan_study(study, config.budget or DEFAULT_BUDGET, range(1, config.seeds + 1), config.num_episodes)
+        if config.dry_run:
+            list_jobs(jobs, config)
+            return []
+        load_results(config.output / DATA_FOLDER)  # damaged files are refused before hours of work, not after
+        try:
+            failed = run_jobs(jobs, config, STUDY_RUNS)
+        finally:
+            save_jobs(jobs, config.output / DATA_FOLDER)
+    write_pages(config, studies)
+    return failed
+
+
+def save_jobs(jobs: Sequence[Job], folder: Path) -> None:
+    """Add the runs that have been trained, or have failed, to the CSV files of a folder."""
+    ended = [job for job in jobs if job.is_trained or job.failure.exists()]
+    save_runs(folder, [(job.name, job.folder, "finished" if job.is_trained else "failed") for job in ended])
+
+
+def write_pages(config: StudyConfig, studies: Sequence[Study]) -> None:
+    """Write the pages of studies and the summary."""
+    for study in studies:
+        print(f"page: {write_study_page(study, config.output, config.budget)}")
+    print(f"page: {write_summary_page(config.output)}")
