@@ -1,11 +1,11 @@
-# The whole interface of a developer: `make demo`, `make test`, `make lint`, `make docs`, `make install`.
+# The whole interface of a developer: `make demo`, `make test`, `make lint`, `make docs`, `make mutants`, `make install`.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 # One thread per process: on small or busy machines more OpenMP threads make small tensors slower, not faster.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: install demo test lint docs clean
+.PHONY: install demo test lint docs mutants clean
 
 install: $(VENV)/installed
 
@@ -27,6 +27,10 @@ lint: install
 # Pages that follow from committed measurements; benchmarks and studies write the measurements.
 docs: install
 	$(BIN)/python -m tools.docs
+
+# Changes to the program that tests must notice, and whether they do.
+mutants: install
+	$(BIN)/python tools/mutants.py
 
 clean:
 	rm -rf $(VENV) runs
