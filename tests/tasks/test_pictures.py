@@ -74,11 +74,11 @@ def colors(image):
 # ---------------------------------------------------------------- without SAPIEN
 
 
-@pytest.mark.parametrize(("num_envs", "num_pictures"), [(1, 1), (3, 3), (20, 16)])
-def test_each_world_has_its_picture(make_env, num_envs, num_pictures):
+@pytest.mark.parametrize(("num_envs", "num_pictures", "size"), [(1, 1, 512), (4, 4, 512), (5, 5, 256), (20, 16, 256)])
+def test_each_world_has_its_picture_in_the_size_of_a_tile(make_env, num_envs, num_pictures, size):
     env = make_env(num_envs, render_mode="rgb_array")
     images = env.render()
-    assert images.shape == (num_pictures, 512, 512, 3)
+    assert images.shape == (num_pictures, size, size, 3)
     assert images.dtype == torch.uint8
     assert all((images[0] != image).any() for image in images[1:])
     assert not env.unwrapped.scene.actors
@@ -140,6 +140,26 @@ def pictures():
         return painter.picture()[0]
 
     return draw
+
+
+def test_a_picture_does_not_depend_on_those_before(pictures):
+    """Only what was drawn upon is wiped."""
+    drawings = [
+        cloth_drawing(),
+        cloth_drawing(has_table=False),
+        cloth_drawing(object=grid_sheet((0.3, 0.2, 0.2), 0.1), goal=None, lines=(), is_solved=True),
+        cloth_drawing(object=grid_sheet((5.0, 5.0, 0.0))),  # out of sight
+        cloth_drawing(object=grid_sheet((0.0, -0.7, 1.15), 0.5)),  # around the camera
+    ]
+    first = [pictures(drawing) for drawing in drawings]
+    for index in (0, 1, 0, 2, 3, 4, 0, 4, 1, 2, 0):
+        assert torch.equal(pictures(drawings[index]), first[index]), index
+    env = gym.make("RopeShaping-v1", sim_backend="cpu", render_backend="none")
+    for drawing, picture in zip(drawings, first, strict=True):
+        painter = NumpyPainter(env.unwrapped._default_human_render_camera_configs)
+        painter.show(drawing)
+        assert torch.equal(painter.picture()[0], picture)
+    env.close()
 
 
 def test_cloth_has_a_front_and_a_back(pictures):

@@ -56,11 +56,13 @@ class NumpyPainter:
         half = palette.LIGHT_DIRECTION + self._view
         self._glossy_normal = half / np.linalg.norm(half)
         self._empty, self._with_table = self._backdrop(), self._table()
-        self._canvas = self._empty
+        self._ground, self._canvas = self._empty, self._empty.copy()
+        self._ground_picture = self._to_pixels(self._ground.colors)
+        self._low, self._high = self._nowhere()
 
     def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
         """Draw a world."""
-        self._canvas = (self._with_table if drawing.has_table else self._empty).copy()
+        self._wipe(self._with_table if drawing.has_table else self._empty)
         parts = [(surface_of(solid), palette.SOLID, palette.SOLID) for solid in drawing.solids]
         back = palette.BACK if isinstance(drawing.object, Sheet) else palette.FRONT
         parts.append((surface_of(drawing.object), palette.FRONT, back))
@@ -70,29 +72,79 @@ class NumpyPainter:
         if drawing.has_table:
             self._cast_shadows([surface for surface, *_ in parts])
         for part in parts:
-            self._canvas.paint(*self._shaded(*part))
+            triangles = self._shaded(*part)
+            self._touch(triangles[0])
+            self._canvas.paint(*triangles)
         self._draw_edges()
         if not hide_goal:
             self._draw_goal(drawing)
 
     def picture(self) -> torch.Tensor:
         """Return what was drawn last, (1, H, W, 3) uint8 on the CPU."""
+        picture = self._ground_picture.copy()
+        rows, columns = self._touched()
+        low, high = (slice(part.start // SAMPLES, part.stop // SAMPLES) for part in (rows, columns))
+        picture[low, high] = self._to_pixels(self._canvas.colors[rows, columns])
+        return torch.from_numpy(picture[None])
+
+    def _wipe(self, ground: Canvas) -> None:
+        """Take a picture of what never moves as the canvas; what is on it already is replaced only where it was drawn upon."""
+        if ground is not self._ground:
+            self._ground, self._canvas = ground, ground.copy()
+            self._ground_picture = self._to_pixels(ground.colors)
+        window = self._touched()
+        self._canvas.colors[window] = ground.colors[window]
+        self._canvas.nearness[window] = ground.nearness[window]
+        self._low, self._high = self._nowhere()
+
+    def _nowhere(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.full(2, 1e9), np.full(2, -1e9)
+
+    def _touch(self, pixels: np.ndarray, margin: int = 0) -> None:
+        """Note that something is drawn within `margin` of pixels (..., 2); NaN is behind the camera."""
+        seen = pixels[np.isfinite(pixels).all(axis=-1)]
+        if len(seen):
+            self._low = np.minimum(self._low, seen.min(axis=0) - margin)
+            self._high = np.maximum(self._high, seen.max(axis=0) + margin)
+
+    def _touched(self) -> tuple[slice, slice]:
+        """Return the rows and columns on which something is drawn, in whole pixels of the picture."""
+        size = (self._camera.width, self._camera.height)
+        low, high = (
+            SAMPLES * np.clip(bound // SAMPLES + past, 0, np.array(size) // SAMPLES).astype(np.int64)
+            for bound, past in ((self._low - 1.0, 0), (self._high + 1.0, 1))
+        )
+        (left, top), (right, bottom) = low, np.maximum(low, high)
+        return slice(top, bottom), slice(left, right)
+
+    @staticmethod
+    def _to_pixels(colors: np.ndarray) -> np.ndarray:
+        """Average the samples of each pixel, (H, W, 3) float32 to (H / SAMPLES, W / SAMPLES, 3) uint8."""
         steps = range(SAMPLES)
-        light = sum(self._canvas.colors[row::SAMPLES, column::SAMPLES] for row in steps for column in steps)
-        pixels = (light * (255.0 / SAMPLES**2) + 0.5).clip(0.0, 255.0)
-        return torch.from_numpy(pixels.astype(np.uint8)[None])
+        light = sum(colors[row::SAMPLES, column::SAMPLES] for row in steps for column in steps)
+        return (light * (255.0 / SAMPLES**2) + 0.5).clip(0.0, 255.0).astype(np.uint8)
 
     def _draw_goal(self, drawing: Drawing) -> None:
         color = palette.SOLVED if drawing.is_solved else palette.GOAL
         ghost = ghost_surface(drawing)
         if ghost is not None:
-            # What lies in its goal is not covered: it would take on the colour of the ghost.
-            is_table = self._canvas.nearness == self._with_table.nearness
-            lead = np.where(is_table, 0.0, GHOST_LEADS[type(drawing.goal)])
-            limit = self._canvas.nearness / (1.0 - lead * self._canvas.nearness)
-            self._canvas.glaze(*self._shaded(ghost, color, color), alpha=GHOST_ALPHA, limit=limit)
+            triangles = self._shaded(ghost, color, color)
+            self._touch(triangles[0])
+            self._canvas.glaze(*triangles, alpha=GHOST_ALPHA, limit=self._ghost_limit(GHOST_LEADS[type(drawing.goal)]))
         marks = self._shaded(mark_surface(drawing), color, color)
+        self._touch(marks[0])
         self._canvas.glaze(*marks, alpha=MARK_ALPHA, hidden_alpha=HIDDEN_MARK_ALPHA)
+
+    def _ghost_limit(self, lead: float) -> np.ndarray:
+        """Return up to which nearness a ghost is covered, (H, W), where something is drawn.
+
+        What lies in its goal is not covered: it would take on the colour of the ghost.
+        """
+        limit, window = self._canvas.nearness.copy(), self._touched()
+        near = limit[window]
+        leads = np.where(near == self._with_table.nearness[window], 0.0, lead)
+        limit[window] = near / (1.0 - leads * near)
+        return limit
 
     def _backdrop(self) -> Canvas:
         shape = (self._camera.height, self._camera.width)
@@ -111,21 +163,24 @@ class NumpyPainter:
         shadow = np.zeros(self._canvas.nearness.shape, dtype=np.float32)
         for surface in surfaces:
             shade = shadow_surface(surface)
-            fragments = scan(self._camera.project(shade.vertices[shade.faces])[0], shadow.shape)
+            pixels = self._camera.project(shade.vertices[shade.faces])[0]
+            self._touch(pixels, margin=SHADOW_BLUR * SAMPLES)
+            fragments = scan(pixels, shadow.shape)
             shadow[fragments.rows, fragments.columns] = 1.0
-        window = _window(shadow > 0.0, SHADOW_BLUR * SAMPLES)
+        window = self._touched()
         shadow = uniform_filter(shadow[window], SHADOW_BLUR * SAMPLES)
         self._canvas.colors[window] *= (1.0 - palette.SHADOW_DARKNESS * shadow)[..., None]
 
     def _draw_edges(self) -> None:
         """Darken what lies just behind the edge of something nearer."""
-        window = _window(self._canvas.nearness != self._with_table.nearness, 1)
+        window = self._touched()
         near = self._canvas.nearness[window]
         # The nearness of a plane is linear over the picture: this sees steps, and nothing else.
         step = np.zeros_like(near)
         step[1:-1, 1:-1] = near[:-2, 1:-1] + near[2:, 1:-1] + near[1:-1, :-2] + near[1:-1, 2:] - 4.0 * near[1:-1, 1:-1]
-        strength = EDGE_DARKNESS * np.clip(step / EDGE_STEP - 1.0, 0.0, 1.0)
-        self._canvas.colors[window] *= (1.0 - strength)[..., None]
+        at = np.nonzero(step > EDGE_STEP)
+        strength = EDGE_DARKNESS * np.clip(step[at] / EDGE_STEP - 1.0, 0.0, 1.0)
+        self._canvas.colors[window][at] *= (1.0 - strength)[:, None]
 
     def _shaded(self, surface: Surface, front: palette.Color, back: palette.Color) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the triangles of a surface as a canvas takes them, each in the colour of the side that is seen."""
@@ -149,12 +204,3 @@ class NumpyPainter:
     def _towards_camera(self, points: np.ndarray) -> np.ndarray:
         directions = self._camera.position - points
         return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-
-
-def _window(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns in which a mask (H, W) is true, and a margin around them."""
-    bounds = []
-    for axis in (1, 0):
-        at = np.flatnonzero(mask.any(axis=axis))
-        bounds.append(slice(max(at[0] - margin, 0), at[-1] + margin + 1) if len(at) else slice(0, 0))
-    return bounds[0], bounds[1]

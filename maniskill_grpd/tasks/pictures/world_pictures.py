@@ -23,6 +23,10 @@ FRAME_WIDTH = 0.015
 """Width of the frames of solved worlds in heights of a picture."""
 AMBIENT_LIGHT, DIRECT_LIGHT, FILL_LIGHT = 0.30, 1.7, 0.6
 """Strengths of SAPIEN's lights: from everywhere, from the lamp, from the camera."""
+PICTURE_SIZE = 512
+"""Height and width of the pictures of `render()` [pixels]."""
+LARGE_PICTURES = 4
+"""Largest number of worlds that are drawn in that size; more are tiles of a video and half as large."""
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
@@ -89,7 +93,8 @@ class WorldPictures(MeasuredWorlds):
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
-        return self._camera("render_camera", 512, "default")
+        size = PICTURE_SIZE if self.num_envs <= LARGE_PICTURES else PICTURE_SIZE // 2
+        return self._camera("render_camera", size, "default")
 
     def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
         pose = sapien_utils.look_at(eye=list(self.CAMERA_POSITION), target=list(self.CAMERA_TARGET))
@@ -104,7 +109,10 @@ class WorldPictures(MeasuredWorlds):
         self.scene.add_directional_light(view, [FILL_LIGHT] * 3)
 
     def render_rgb_array(self, camera_name: str | None = None) -> torch.Tensor:
-        """Return one image per world, (min(B, 16), H, W, 3) uint8; those of solved worlds have a green frame."""
+        """Return one image per world, (min(B, 16), H, W, 3) uint8; those of solved worlds have a green frame.
+
+        They are 512 pixels high and wide for up to 4 worlds, else 256; `human_render_camera_configs` says otherwise.
+        """
         take_picture = partial(super().render_rgb_array, camera_name) if self.scene.can_render() else self._painter.picture
         return self._picture_worlds(take_picture, has_frames=True)
 
