@@ -129,7 +129,8 @@ class Job:
         if self.training is not None:
             self.training.check()
         own = {TEST_FOLDER, self.log.name, self.failure.name}
-        foreign = sorted(path.name for path in self.folder.glob("*") if path.name not in own)
+        names = sorted(path.name for path in self.folder.glob("*"))
+        foreign = [name for name in names if name not in own and not name.startswith(".")]
         if foreign and not (self.is_trained or self.training.has_begun()):
             raise ValueError(f"{self.folder} is not the folder of a run but holds {', '.join(foreign)}; move it away")
 

@@ -92,7 +92,9 @@ class Training:
         if not self.has_begun():
             return
         wanted = self.config.to_dict()
-        found = read_json(self.folder / "config.json")["config"]
+        found = read_json(self.folder / "config.json").get("config")
+        if not isinstance(found, dict):
+            raise ValueError(f"{self.folder / 'config.json'} names no options of a training; move {self.folder} away")
         names = sorted(wanted.keys() & found.keys() - MAY_DIFFER)
         differences = [f"{name} was {found[name]}, is {wanted[name]}" for name in names if found[name] != wanted[name]]
         if differences:

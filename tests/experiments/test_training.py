@@ -105,6 +105,9 @@ def test_a_damaged_record_is_named():
     (run.folder / "config.json").write_text('{\n"config": {')
     with pytest.raises(ValueError, match=r"runs/s/seed=1/config\.json, line 2"):
         run.check()
+    (run.folder / "config.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"config\.json names no options of a training"):
+        run.check()
 
 
 def test_runs_lie_below_the_present_folder(folder):
