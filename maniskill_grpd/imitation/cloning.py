@@ -25,7 +25,7 @@ from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.policies import Policy, make_policy
 from maniskill_grpd.runs.environments import make_env
 from maniskill_grpd.runs.fingerprint import describe_task
-from maniskill_grpd.runs.folder import RUNS
+from maniskill_grpd.runs.folder import RUNS, check_name
 from maniskill_grpd.runs.record import write_run_record
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 from maniskill_grpd.tasks.measurement import Metric
@@ -48,7 +48,7 @@ def clone(config: CloneConfig) -> list[dict[str, Any]]:
     # Before anything is recorded: a misspelt name should not cost a minute.
     policies = {name: _make_policy(config, name, schema) for name in config.policy}
     demonstrations = obtain_demonstrations(config, schema)
-    run_name = config.exp_name or f"{config.env_id}__bc__{config.seed}__{int(time.time())}"
+    run_name = check_name(config.exp_name or f"{config.env_id}__bc__{config.seed}__{int(time.time())}")
     results = []
     for name, policy in policies.items():
         run_dir = RUNS / run_name / name

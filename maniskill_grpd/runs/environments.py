@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
+from mani_skill.utils.registration import REGISTERED_ENVS
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.tasks import DeformableEnv
+
+NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
+"""Kinds of parameters that are options."""
 
 
 def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
@@ -17,8 +24,12 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
         config: Names the task, its options and the simulation backend.
         num_envs: Number of environments.
         **options: Further options of the task, which replace those of the config.
+
+    Raises:
+        ValueError: If there is no such task, or it does not take the options.
     """
     given = {"obs_mode": "graph", **config.env_options, **options}
+    check_task(config.env_id, given)
     return gym.make(
         config.env_id,
         num_envs=num_envs,
@@ -39,3 +50,35 @@ def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) 
     """
     env = make_env(config, num_envs)
     return ManiSkillVectorEnv(env, num_envs, ignore_terminations=not partial_reset, record_metrics=True)
+
+
+def check_task(env_id: str, options: Mapping[str, Any]) -> None:
+    """Refuse a task that does not exist, options it does not take, and observations that no policy understands.
+
+    A task of the form module:id is looked for when it is made, which imports the module.
+
+    Raises:
+        ValueError: Naming what is allowed.
+    """
+    if "graph" not in str(options["obs_mode"]).split("+"):
+        raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {options['obs_mode']!r}")
+    if ":" in env_id:
+        return
+    tasks = {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}
+    if env_id not in tasks:
+        raise ValueError(f"there is no task {env_id!r} of deformable objects; there are {', '.join(sorted(tasks))}")
+    known = known_options(tasks[env_id])
+    unknown = sorted(set(options) - known)
+    if unknown:
+        raise ValueError(f"{env_id} does not take the option(s) {', '.join(unknown)}; it takes {', '.join(sorted(known))}")
+
+
+def known_options(task: type[DeformableEnv]) -> set[str]:
+    """Return the names of the options of a task: those of its class and of the classes it hands the others on to."""
+    names = {"max_episode_steps"}
+    for base in task.__mro__:
+        parameters = inspect.signature(base.__init__).parameters.values()
+        names |= {parameter.name for parameter in parameters if parameter.kind in NAMED}
+        if base is not object and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+            break
+    return names - {"self", "num_envs", "sim_backend"}

@@ -17,6 +17,7 @@ import torch
 import maniskill_grpd
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.processor import processor_name
+from maniskill_grpd.runs.folder import check_name
 from maniskill_grpd.tasks.measurement import Metric
 from maniskill_grpd.tasks.options.env_id import check_env_id
 
@@ -31,9 +32,13 @@ class Recordable(Protocol):
 
 
 def make_run_name(config: TrainConfig) -> str:
-    """Return `exp_name`, or a name that tells task, policy, algorithm, seed and time."""
+    """Return `exp_name`, or a name that tells task, policy, algorithm, seed and time.
+
+    Raises:
+        ValueError: If `exp_name` leads out of the folder of all runs.
+    """
     if config.exp_name is not None:
-        return config.exp_name
+        return check_name(config.exp_name)
     return f"{config.env_id}__{config.policy}_{config.algorithm}__{config.seed}__{int(time.time())}"
 
 
@@ -62,7 +67,22 @@ def write_run_record(
         "git": _git_state(),
     }
     run_dir.mkdir(parents=True, exist_ok=True)
-    (run_dir / "config.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    write_aside(run_dir / "config.json", json.dumps(record, indent=2) + "\n")
+
+
+def write_aside(path: Path, text: str) -> None:
+    """Write a file so that it is at every moment either the old or the new one.
+
+    Raises:
+        OSError: If it cannot be written, because the disk is full for example; what was there before is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig:
@@ -79,7 +99,7 @@ def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig
     path = run_dir / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{run_dir} is not the folder of a run: it has no config.json")
-    config = TrainConfig.from_dict(json.loads(path.read_text(encoding="utf-8"))["config"])
+    config = TrainConfig.from_dict(_read_record(path)["config"])
     check_env_id(config.env_id, str(path), allow_import=allow_import)
     return config
 
@@ -89,8 +109,19 @@ def read_progress(run_dir: Path) -> Metric | None:
     path = run_dir / "config.json"
     if not path.is_file():
         return None
-    found = json.loads(path.read_text(encoding="utf-8")).get("progress")
+    found = _read_record(path).get("progress")
     return None if found is None else Metric(**found)
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    """Read config.json; a ValueError names file and line where it is damaged."""
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path}, line {error.lineno}: damaged, {error.msg}") from error
+    if not isinstance(record, dict) or not isinstance(record.get("config"), dict):
+        raise ValueError(f"{path}: not the record of a run, it has no entry 'config'")
+    return record
 
 
 def _package_versions() -> dict[str, str]:

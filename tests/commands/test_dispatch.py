@@ -14,6 +14,8 @@ from maniskill_grpd.commands.dispatch import describe_unknown
 from maniskill_grpd.commands.run_command import _unframed
 
 PACKAGE = Path(importlib.import_module("maniskill_grpd").__file__).parent
+NEEDED = {"plot": ["runs"], **dict.fromkeys(("evaluate", "inspect", "video"), ["--checkpoint", "a.pt"])}
+"""What a command asks for, by its name."""
 NOT_COMMANDS = {"__init__", "dispatch", "run_command"}
 
 
@@ -54,10 +56,10 @@ def test_dashes_and_underscores_are_the_same_in_names_of_commands(capsys):
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"replay"}))
 def test_an_unknown_option_is_one_line_with_those_there_are(name, capsys):
-    assert main([name, *{"plot": ["runs"], "video": ["--checkpoint", "a.pt"]}.get(name, []), "--no_such_option", "3"]) == 2
+    assert main([name, *NEEDED.get(name, []), "--no_such_option", "3"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "--no_such_option" in line
-    assert "takes --" in line or "required" in line
+    assert "takes --" in line
 
 
 @pytest.mark.parametrize(

@@ -13,17 +13,11 @@ import torch
 from toy_env import ToyEnv, ToyPolicy
 from toy_run import CONFIG, make_toy_trainer
 
-import maniskill_grpd
 from maniskill_grpd.learning import NonFiniteError, Trainer, load_checkpoint
 from maniskill_grpd.learning.run_log import read_rows
 
 SCRIPT = Path(__file__).with_name("run_fault.py")
-ENV = {
-    **os.environ,
-    "OMP_NUM_THREADS": "1",
-    # The package under test, also where another copy is installed.
-    "PYTHONPATH": str(Path(maniskill_grpd.__file__).parents[1]),
-}
+ENV = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
 def run_until_killed(run_dir, place, call):

@@ -14,7 +14,6 @@ from test_update import collect, make_learner
 from toy_env import ToyEnv, ToyPolicy
 from toy_run import CONFIG
 
-import maniskill_grpd
 from maniskill_grpd.learning import CheckpointError, Trainer, load_checkpoint
 from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.normalizer_update import update_normalizer
@@ -30,10 +29,9 @@ def torchrun(*arguments, processes=2):
     """Run run_workers.py in several processes."""
     command = [sys.executable, "-m", "torch.distributed.run", f"--nproc_per_node={processes}"]
     command += ["--master_port=0", "--rdzv_backend=c10d", "--rdzv_endpoint=localhost:0"]
-    path = str(Path(maniskill_grpd.__file__).parents[1])
     return subprocess.run(
         [*command, str(RUN_WORKERS), *map(str, arguments)],
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": path},
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=200,

@@ -1,8 +1,6 @@
 """Environments for tests."""
 
 import gc
-import sys
-from pathlib import Path
 
 import gymnasium as gym
 import mani_skill.envs  # noqa: F401
@@ -10,9 +8,6 @@ import pytest
 import torch
 
 import maniskill_grpd  # noqa: F401  (registers)
-
-# Make the helpers beside the tests importable.
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
