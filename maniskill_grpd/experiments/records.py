@@ -60,9 +60,12 @@ def training_metrics(rows: Iterable[Row]) -> Row:
     """Return metrics of a whole training from its log.
 
     Returns:
-        `training_return`: mean over the training of the return in evaluations; `iteration_seconds`, `update_seconds` and
-        `rollout_seconds`: medians over iterations; `kl`: mean over iterations of the mean KL(new || old) of the policy that acts
-        [nats]. Those whose data are not there are left out.
+        `training_return`: mean over the training of the return in evaluations.
+        `iteration_seconds`, `update_seconds`, `rollout_seconds`: medians over iterations.
+        `kl_acting`: mean over iterations of the average KL(new || old) of the policy that acts next [nats].
+        `kl_projected`: the same of the policy whose surrogate is maximised in the last epoch, which is the projection of the
+        policy or, without projection, the policy itself.
+        Those whose data are not there are left out.
     """
     rows = list(rows)
     train = [row for row in rows if row["kind"] == "train"]
@@ -75,10 +78,11 @@ def training_metrics(rows: Iterable[Row]) -> Row:
         metrics["iteration_seconds"] = statistics.median(u + r for u, r in zip(updates, rollouts, strict=True))
         metrics["update_seconds"] = statistics.median(updates)
         metrics["rollout_seconds"] = statistics.median(rollouts)
-    divergences = [row.get("losses/kl_projected", row.get("losses/kl_raw")) for row in train]
-    if divergences and None not in divergences:
-        metrics["kl"] = statistics.fmean(divergences)
-    return metrics
+    divergences = {
+        "kl_acting": [row.get("losses/kl_acting") for row in train],
+        "kl_projected": [row.get("losses/kl_projected", row.get("losses/kl_raw")) for row in train],
+    }
+    return metrics | {name: statistics.fmean(found) for name, found in divergences.items() if found and None not in found}
 
 
 def curve_rows(name: str, run_dir: Path) -> Iterator[Row]:

@@ -11,8 +11,6 @@ with p = sigmoid(l_t). KL'(t) = t (l_1 - l_0)^2 p (1 - p) >= 0, so the root is u
 
 from __future__ import annotations
 
-import math
-
 import torch
 
 from maniskill_grpd.policies.divergence import bernoulli_kl
@@ -27,7 +25,7 @@ _LARGEST_LOGIT = 40.0
 """sigmoid(40) differs from 1 by less than float64 resolves; beyond it, the KL has no slope left."""
 
 
-def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: float) -> torch.Tensor:
+def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: float | torch.Tensor) -> torch.Tensor:
     """Clamp log-odds so that the KL to the old variable stays within a bound.
 
     Variables inside the bound come back bitwise unchanged; one that is clamped has no gradient, the
@@ -36,7 +34,7 @@ def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: 
     Args:
         logits: New log-odds, any shape.
         old_logits: Log-odds of the behaviour policy, same shape.
-        bound: Largest KL(projected || old), > 0 [nats].
+        bound: Largest KL(projected || old), > 0 [nats]; one for all, or broadcastable to `logits`.
 
     Returns:
         Projected log-odds in the shape of `logits`.
@@ -44,7 +42,7 @@ def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: 
     Raises:
         ValueError: If the bound is not positive and finite, or shapes differ.
     """
-    if not (math.isfinite(bound) and bound > 0.0):
+    if not (torch.isfinite(limits := torch.as_tensor(bound)) & (limits > 0.0)).all():
         raise ValueError(f"bound must be positive and finite, got {bound}")
     if logits.shape != old_logits.shape:
         raise ValueError(f"logits and old_logits must share a shape, got {tuple(logits.shape)} and {tuple(old_logits.shape)}")
@@ -61,7 +59,7 @@ def project_bernoulli(logits: torch.Tensor, old_logits: torch.Tensor, *, bound: 
     return torch.where(active, clamped, logits)
 
 
-def _share_within(old: torch.Tensor, change: torch.Tensor, bound: float) -> torch.Tensor:
+def _share_within(old: torch.Tensor, change: torch.Tensor, bound: float | torch.Tensor) -> torch.Tensor:
     """Find the share of the change at which the KL is `bound`: Newton, bisecting where it leaves."""
     low, high = torch.zeros_like(change), torch.ones_like(change)
     share = 0.5 * high
@@ -78,7 +76,7 @@ def _share_within(old: torch.Tensor, change: torch.Tensor, bound: float) -> torc
     return share
 
 
-def _round_inside(clamped: torch.Tensor, old: torch.Tensor, bound: float) -> torch.Tensor:
+def _round_inside(clamped: torch.Tensor, old: torch.Tensor, bound: float | torch.Tensor) -> torch.Tensor:
     """Move values that rounding left outside the region one float towards the old ones."""
     outside = bernoulli_kl(clamped.double(), old.double()) > bound
     return torch.where(outside, torch.nextafter(clamped, old), clamped)

@@ -148,6 +148,8 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
     """schedule of that weight: constant, or linear or cosine to zero"""
     vf_coef: float = 0.5
     """weight of the value loss"""
+    popart: bool = False
+    """correct the last layer of the value function when the scale of values moves, so that values stay what they were"""
     max_grad_norm: float = 1.0
     """largest norm of the gradient"""
     target_kl: float | None = None

@@ -11,7 +11,7 @@ import torch
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.rollout import Batch, Rollout
 from maniskill_grpd.learning.trust_region import BoundOptions, Bounds, activity_metrics, kl_metrics
-from maniskill_grpd.learning.update import Algorithm, Learner, Metrics, apply_gradients, mean_std, summarize
+from maniskill_grpd.learning.update import Algorithm, Learner, Metrics, apply_gradients, spread_metrics, summarize
 from maniskill_grpd.policies import ActionDistribution
 from maniskill_grpd.policies.divergence import KLParts
 
@@ -52,8 +52,8 @@ class FisherBPP(Algorithm):
     g is the gradient of the surrogate (plus the entropy bonus) over the whole rollout, F the
     empirical Fisher matrix (eq. 68) of `num_samples` of its transitions, never formed: conjugate
     gradients need F v = E[s (s . v)] with s the score of a transition. Eq. 67 is a quadratic model
-    of the KL; j is the first halving at which the true KL keeps each bound, averaged over states and
-    actuators, and the surrogate is better than before. If there is none the policy stays.
+    of the KL; j is the first halving at which the true KL keeps each bound, averaged over states,
+    and the surrogate is better than before. If there is none the policy stays.
 
     The value function then takes `update_epochs` passes of minibatches, but only those of its
     weights that the policy does not use: else it would move the policy out of the region. Give it
@@ -72,10 +72,13 @@ class FisherBPP(Algorithm):
             bounds=config.bounds, num_samples=config.fisher_samples, damping=config.fisher_damping, ent_coef=config.ent_coef
         )
 
+    def acting_bound(self, old: ActionDistribution) -> tuple[float, bool]:
+        """See `Algorithm.acting_bound`."""
+        return self.bounds.acting(old), self.bounds.per_actuator
+
     def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
         """See `Algorithm.update`."""
-        local = rollout.num_steps * rollout.num_envs
-        batch = learner.normalize_advantages(rollout.select(torch.arange(local, device=rollout.rewards.device)))
+        batch = learner.normalize_advantages(rollout.whole())
         actor, critic = split_parameters(learner, batch)
         metrics = self._step_policy(learner, batch, actor)
         metrics |= _fit_values(learner, rollout, critic)
@@ -122,24 +125,24 @@ class FisherBPP(Algorithm):
         return batch.select(order.to(batch.actions.device))
 
     def _joint_bound(self, learner: Learner, batch: Batch) -> float:
-        """Return the sum of the bounds times the mean number of actuators of a state [nats]."""
-        has_gripper = batch.old.gripper_logits is not None
-        per_actuator = self.bounds.mean + self.bounds.cov + has_gripper * self.bounds.gripper
+        """Return the sum of the bounds, per actuator times the mean number of actuators of a state [nats]."""
+        total = self.bounds.mean + self.bounds.cov + (batch.old.gripper_logits is not None) * self.bounds.gripper
+        if not self.bounds.per_actuator:
+            return total
         count = batch.old.mask.sum(-1).to(batch.actions.dtype).mean()
-        return per_actuator * (learner.workers.sum(count) / learner.workers.size).item()
+        return total * (learner.workers.sum(count) / learner.workers.size).item()
 
     @torch.no_grad()
     def _measure(self, learner: Learner, batch: Batch) -> tuple[float, KLParts, dict[str, float]]:
-        """Return the objective, the mean KL parts per actuator, and what is logged, over all processes."""
+        """Return the objective, the average KL parts, and what is logged, over all processes."""
         rows: list[Metrics] = []
         for chunk, share in _shares(batch):
             dist = learner.evaluate(chunk.graph)[0]
             parts = dist.kl_parts(chunk.old)
-            count = dist.mask.sum().clamp(min=1)
-            means = {f"{k}_kl": part.sum() / count for k, part in parts._asdict().items()}
+            means = {f"{k}_kl": part for k, part in self.bounds.average(dist, parts)._asdict().items()}
             row = {
                 **{"objective": self._objective(dist, chunk), "entropy": dist.entropy().mean()},
-                **{"std": mean_std(dist), **means, **kl_metrics("raw", parts)},
+                **{**spread_metrics(dist), **means, **kl_metrics("raw", parts)},
                 **activity_metrics(dist, parts, self.bounds),
             }
             # Weighted so that the plain mean over rows is the mean over states.

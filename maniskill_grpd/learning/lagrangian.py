@@ -39,8 +39,8 @@ class LagrangianBPP(FirstOrderAlgorithm):
 
         loss = -E[ ratio A ] + sum_k lambda_k (E[KL_k] / bound_k - 1) - ent_coef E[ H(pi) ]
 
-    with k the mean, the covariance and the gripper part of the KL of an actuator, averaged over
-    states and actuators. After each update, dual ascent on log lambda_k,
+    with k the mean, the covariance and the gripper part of the KL, averaged over states.
+    After each update, dual ascent on log lambda_k,
 
         lambda_k <- clip(lambda_k exp(dual_step clip(E[KL_k] / bound_k - 1, -1, 1)), 1/max, max)
 
@@ -61,6 +61,10 @@ class LagrangianBPP(FirstOrderAlgorithm):
         return cls(
             bounds=config.bounds, dual_step=config.dual_step, max_multiplier=config.max_multiplier, ent_coef=config.ent_coef
         )
+
+    def acting_bound(self, old: ActionDistribution) -> tuple[float, bool]:
+        """See `Algorithm.acting_bound`."""
+        return self.bounds.acting(old), self.bounds.per_actuator
 
     def policy_loss(self, dist: ActionDistribution, projected: ActionDistribution, batch: Batch) -> tuple[torch.Tensor, Metrics]:
         """See `FirstOrderAlgorithm.policy_loss`."""
@@ -113,6 +117,6 @@ class LagrangianBPP(FirstOrderAlgorithm):
         self.multipliers = {name: float(state["multipliers"][name]) for name in KLParts._fields}
 
     def _shares(self, dist: ActionDistribution, parts: KLParts) -> dict[str, torch.Tensor]:
-        """Return each part, averaged over states and actuators, over its bound."""
-        count = dist.mask.sum().clamp(min=1)
-        return {name: part.sum() / count / getattr(self.bounds, name) for name, part in zip(KLParts._fields, parts, strict=True)}
+        """Return each part, on average, over its bound."""
+        averages = self.bounds.average(dist, parts)
+        return {name: part / getattr(self.bounds, name) for name, part in averages._asdict().items()}

@@ -73,6 +73,42 @@ def project_unchecked(
     return projected_mean, _project_diagonal(std, old_std, cov_bound)
 
 
+def project_joint(
+    mean: torch.Tensor,
+    std: torch.Tensor,
+    old_mean: torch.Tensor,
+    old_std: torch.Tensor,
+    mask: torch.Tensor,
+    *,
+    mean_bound: float,
+    cov_bound: float,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Project the joint Gaussian of several actuators so that the sums of their KL parts keep the bounds.
+
+    The joint Gaussian of isotropic ones has a diagonal covariance: means step back by one factor for all actuators, precisions
+    are mixed in one ratio for all, and the result is the nearest one as in `project_gaussian`.
+
+    Args:
+        mean: New means, (..., A, d).
+        std: New standard deviations, (..., A, 1).
+        old_mean: Shape of `mean`.
+        old_std: Shape of `std`.
+        mask: Which actuators exist, bool (..., A); the others count nothing and come back as the old ones.
+        mean_bound: Largest sum over actuators of the mean part of KL(projected || old) [nats].
+        cov_bound: Largest sum of the covariance part [nats].
+
+    Returns:
+        Projected means (..., A, d) and standard deviations (..., A, 1).
+    """
+    present, dim = mask.unsqueeze(-1), mean.shape[-1]
+    mean, std = torch.where(present, mean, old_mean), torch.where(present, std, old_std)
+    wide = old_std.expand_as(mean).flatten(-2)
+    joint = _project_mean(mean.flatten(-2), old_mean.flatten(-2), wide, mean_bound)
+    # Each of the d axes of an actuator has the same part.
+    widths = _project_diagonal(std.squeeze(-1), old_std.squeeze(-1), cov_bound / dim)
+    return joint.unflatten(-1, mean.shape[-2:]), widths.unsqueeze(-1)
+
+
 @lru_cache(maxsize=64)
 def isotropic_std_ratios(bound: float, dim: int) -> tuple[float, float]:
     """Return the smallest and largest std / old_std whose covariance KL is `bound`.

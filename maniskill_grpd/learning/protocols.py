@@ -72,6 +72,9 @@ class ActorCritic(Protocol):
     def value(self, graph: Mapping[str, Any]) -> torch.Tensor:
         """Return the value output alone, (B,)."""
 
+    def rescale_value(self, factor: float, shift: float) -> None:
+        """Change the value function so that every output v becomes factor * v + shift."""
+
     def act(
         self, graph: Mapping[str, Any], deterministic: bool = False, generator: torch.Generator | None = None
     ) -> torch.Tensor:

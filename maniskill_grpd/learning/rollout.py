@@ -131,16 +131,19 @@ class Rollout:
         """Return the graphs of all transitions as views, (T * B, ...) per tensor."""
         return map_graph(lambda tensor: tensor.flatten(0, 1), self.graph)
 
+    def whole(self) -> Batch:
+        """Return all transitions in the flattened (T * B) order, as views."""
+        return self._batch(lambda tensor: tensor.flatten(0, 1))
+
     def select(self, index: torch.Tensor) -> Batch:
         """Gather transitions, one copy per tensor.
 
         Args:
             index: Positions in the flattened (T * B) order, int64 (M,).
         """
+        return self._batch(lambda tensor: tensor.flatten(0, 1).index_select(0, index))
 
-        def pick(tensor: torch.Tensor) -> torch.Tensor:
-            return tensor.flatten(0, 1).index_select(0, index)
-
+    def _batch(self, pick: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
         return Batch(
             graph=map_graph(pick, self.graph),
             actions=pick(self.actions),

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from maniskill_grpd.learning.acting_policy import PolicySnapshot, confine
 from maniskill_grpd.learning.checkpoint import save_checkpoint
 from maniskill_grpd.learning.collector import Collector
 from maniskill_grpd.learning.config import TrainConfig
@@ -223,11 +224,17 @@ class Trainer:
         for group in state.optimizer.param_groups:
             group["lr"] = now.learning_rate
         state.algorithm.adopt(now)
-        state.value_scale.update(rollout.returns, self.workers)
+        if self.config.popart:
+            state.value_scale.adapt(self.policy, rollout.returns, self.workers)
+        else:
+            state.value_scale.update(rollout.returns, self.workers)
+        before = PolicySnapshot.of(self.policy)
         losses = state.algorithm.update(self._learner, rollout)
         freeze = self.config.normalizer_freeze_steps
         if freeze is None or state.global_step < freeze:
             update_normalizer(self.policy.normalizer, rollout.flat_graph(), self.workers)
+        delta, per_actuator = state.algorithm.acting_bound(rollout.distribution)
+        losses |= confine(self._learner, rollout, before, delta, per_actuator=per_actuator)
         state.iteration += 1
         return losses
 

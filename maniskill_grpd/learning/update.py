@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -126,6 +127,14 @@ class Algorithm(abc.ABC):
         Raises:
             NonFiniteError: If a gradient is not finite. The weights are not touched by it.
         """
+
+    def acting_bound(self, old: ActionDistribution) -> tuple[float, bool]:
+        """Return the bound of E_s[KL(acting || old)] [nats], and whether it is one per actuator; none by default.
+
+        Args:
+            old: The policy that collected.
+        """
+        return math.inf, False
 
     def state_dict(self) -> dict[str, Any]:
         """Return what changes from update to update, as plain types; nothing by default."""
@@ -255,15 +264,18 @@ def _accumulate_gradients(learner: Learner, algorithm: FirstOrderAlgorithm, batc
         share = len(chunk) / len(batch)
         (share * (policy_loss + learner.config.vf_coef * value_loss)).backward()
         if diagnose:
-            metrics |= {"std": mean_std(dist), **algorithm.diagnose(dist, projected, chunk)}
+            metrics |= {**spread_metrics(dist), **algorithm.diagnose(dist, projected, chunk)}
         rows.append({**metrics, "value_loss": value_loss.detach()})
         shares.append(share)
     return rows[0] if len(rows) == 1 else _reduce(rows, shares)
 
 
-def mean_std(dist: ActionDistribution) -> torch.Tensor:
-    """Return the standard deviation averaged over the actuators that exist."""
-    return dist.std.detach()[dist.mask].mean()
+@torch.no_grad()
+def spread_metrics(dist: ActionDistribution) -> Metrics:
+    """Return deviation, radial and angular entropy, averaged over the actuators that exist."""
+    radial, angular = dist.spherical_entropies()
+    count = dist.mask.sum().clamp(min=1)
+    return {"std": dist.std[dist.mask].mean(), "radial_entropy": radial.sum() / count, "angular_entropy": angular.sum() / count}
 
 
 def _moments(batches: list[torch.Tensor], workers: Workers) -> list[tuple[torch.Tensor, torch.Tensor]]:

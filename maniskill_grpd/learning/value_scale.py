@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from maniskill_grpd.learning.protocols import ActorCritic
 from maniskill_grpd.learning.workers import Workers
 
 
@@ -13,7 +14,9 @@ class ValueScale:
     With rewards in [0, 1] per step and gamma 0.99 returns reach 60; without a scale the value loss
     would drown the policy loss in shared layers and in the gradient norm. Mean and mean square are
     averages over recent rollouts, bias-corrected as in Adam: early returns say little about late
-    ones.
+    ones. When they move, `update` lets every value move along, which follows returns that rise together;
+    `adapt` corrects the last layer of the network so that values stay what they were (van Hasselt et al.
+    2016, PopArt).
 
     Args:
         decay: Weight of the past when a rollout is added, in [0, 1).
@@ -48,6 +51,22 @@ class ValueScale:
         self._weight = self.decay * self._weight + 1.0 - self.decay
         self._mean = self.decay * self._mean + (1.0 - self.decay) * mean
         self._mean_square = self.decay * self._mean_square + (1.0 - self.decay) * square
+
+    def adapt(self, policy: ActorCritic, returns: torch.Tensor, workers: Workers | None = None) -> None:
+        """Add the returns of one rollout and leave the values of a policy as they are.
+
+        The first returns are taken without a correction: what an untrained network gives then means the average return
+        instead of zero.
+
+        Args:
+            policy: Its value function is corrected in place.
+            returns: Of one rollout.
+            workers: The processes.
+        """
+        is_first, mean, std = not self._weight, self.mean, self.std
+        self.update(returns, workers)
+        if not is_first:
+            policy.rescale_value(std / self.std, (mean - self.mean) / self.std)
 
     def normalize(self, returns: torch.Tensor) -> torch.Tensor:
         """Return the regression targets of the value network."""

@@ -91,6 +91,20 @@ class ActionDistribution:
             entropy = entropy + softplus(logits) - probability * logits
         return self._sum(entropy)
 
+    def spherical_entropies(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Entropy of length and of direction of each actuator's action (eq. 54) [nats], each (B, A).
+
+        To first order in std / |mean| the length of an action has deviation std, its direction std / |mean| rad on two axes:
+
+            radial   1/2 log(2 pi e std^2),    angular   log(2 pi e (std / |mean|)^2)
+
+        The angular one ends at log 4 pi, that of directions spread evenly over the sphere. Where masked both are zero.
+        """
+        log_std, log_length = self.std.squeeze(-1).log(), self.mean.norm(dim=-1).clamp(min=1e-6).log()
+        radial = 0.5 * (1.0 + _LOG_TWO_PI) + log_std
+        angular = (1.0 + _LOG_TWO_PI + 2.0 * (log_std - log_length)).clamp(max=math.log(4.0 * math.pi))
+        return radial.masked_fill(~self.mask, 0.0), angular.masked_fill(~self.mask, 0.0)
+
     def kl_parts(self, old: ActionDistribution) -> KLParts:
         """KL(self || old) of each actuator in its parts: Gaussian mean and covariance (eq. 63), gripper (eq. 56).
 

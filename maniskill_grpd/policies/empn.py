@@ -45,8 +45,6 @@ class EMPNOptions(HeadOptions):
     """Object nodes that each actuator is connected with."""
     decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
-    magnitude: Literal["softplus", "relu"] = "softplus"
-    """Activation of the action's length; relu is eq. 52 as printed. Unused by the naive decoder."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -38,6 +38,9 @@ class HeadOptions(abc.ABC):
     """Width of the value function after the sum over nodes; before it, scalar_dim."""
     value_encoder: Literal["shared", "separate"] = "shared"
     """Whether the value function reads the actor's node features or has an encoder of its own."""
+    magnitude: Literal["sigmoid", "softplus", "relu"] = "sigmoid"
+    """Activation of the mean action's length: sigmoid keeps it below 1.2, softplus does not bound it, relu is
+    eq. 52 as printed. Decoders without a magnitude of their own bound the norm with sigmoid alone."""
     decoders: Literal["shared", "independent"] = "shared"
     """Independent: weights of its own for each place in the list of actuators. The order of
     actuators then matters, and no graph may have more than num_decoders of them."""
@@ -120,6 +123,10 @@ class EncodedPolicy(Policy):
             value = self.critic([(*node, m) for node, m in zip(nodes, masks, strict=True)])
         return distribution, value
 
+    def rescale_value(self, factor: float, shift: float) -> None:
+        """See `Policy.rescale_value`."""
+        self.critic.rescale(factor, shift)
+
     def _decode(self, actuators: Features, mask: torch.Tensor) -> ActionDistribution:
         mean = self.mean(*actuators).masked_fill(~mask[..., None], 0.0)
         logits = None if self.gripper is None else self.gripper(*actuators).squeeze(-1)
@@ -130,7 +137,7 @@ def equivariant_mean(options: Any) -> nn.Module:
     """Decoder of mean actions that `options.decoder` names."""
     dims = options.actuator_dims
     if options.decoder == "naive":
-        return NaiveDecoder(*dims)
+        return NaiveDecoder(*dims, bounded=options.magnitude == "sigmoid")
     return DirectionMagnitudeDecoder(*dims, options.magnitude)
 
 

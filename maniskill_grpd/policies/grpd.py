@@ -41,8 +41,6 @@ class GRPDOptions(HeadOptions):
     """Whether vector features are normalised after each round; for many rounds."""
     decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
-    magnitude: Literal["softplus", "relu"] = "softplus"
-    """Activation of the action's length; relu is eq. 52 as printed. Unused by the naive decoder."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

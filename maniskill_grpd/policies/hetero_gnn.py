@@ -57,7 +57,7 @@ class HeteroGNN(EncodedPolicy):
 
     def make_mean(self, options: HeteroGNNOptions) -> nn.Module:
         """See `EncodedPolicy`."""
-        return RawDecoder(options.actuator_scalar_dim)
+        return RawDecoder(options.actuator_scalar_dim, bounded=options.magnitude == "sigmoid")
 
 
 class HeteroGNNEncoder(nn.Module):

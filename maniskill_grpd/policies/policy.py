@@ -66,6 +66,10 @@ class Policy(nn.Module, abc.ABC):
         """Value (B,) of raw graphs."""
         return self._evaluate_raw(graph, actor=False, critic=True)[1]
 
+    @abc.abstractmethod
+    def rescale_value(self, factor: float, shift: float) -> None:
+        """Change the value function so that every output v becomes factor * v + shift."""
+
     @torch.no_grad()
     def act(
         self, graph: Mapping[str, Any], deterministic: bool = False, generator: torch.Generator | None = None

@@ -62,7 +62,7 @@ class TransformerPolicy(EncodedPolicy):
 
     def make_mean(self, options: TransformerOptions) -> nn.Module:
         """See `EncodedPolicy`."""
-        return RawDecoder(options.scalar_dim)
+        return RawDecoder(options.scalar_dim, bounded=options.magnitude == "sigmoid")
 
 
 class TransformerEncoder(nn.Module):

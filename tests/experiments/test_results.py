@@ -25,9 +25,23 @@ def write_run(folder, success=0.5, name=RUN.name):
     }
     (run_dir / "config.json").write_text(json.dumps(record))
     rows = [
-        {"kind": "train", "global_step": 500, "time/update_time": 1.0, "time/rollout_time": 2.0, "losses/kl_projected": 0.1},
+        {
+            "kind": "train",
+            "global_step": 500,
+            "time/update_time": 1.0,
+            "time/rollout_time": 2.0,
+            "losses/kl_projected": 0.1,
+            "losses/kl_acting": 0.5,
+        },
         {"kind": "eval", "global_step": 500, "eval/return": 10.0, "eval/success_at_end": 0.0},
-        {"kind": "train", "global_step": 1000, "time/update_time": 3.0, "time/rollout_time": 4.0, "losses/kl_projected": 0.3},
+        {
+            "kind": "train",
+            "global_step": 1000,
+            "time/update_time": 3.0,
+            "time/rollout_time": 4.0,
+            "losses/kl_projected": 0.3,
+            "losses/kl_acting": 0.7,
+        },
         {"kind": "eval", "global_step": 1000, "eval/return": 30.0, "eval/success_at_end": success},
     ]
     (run_dir / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
@@ -47,7 +61,8 @@ def test_a_run_is_told_by_its_row(tmp_path):
     assert json.loads(row["config"])["env_id"] == "Easy-v1"
     assert results.score(RUN, "iteration_seconds", "as trained") == 5.0  # median of 3 and 7
     assert results.score(RUN, "training_return", "as trained") == 20.0
-    assert results.score(RUN, "kl", "as trained") == pytest.approx(0.2)
+    assert results.score(RUN, "kl_projected", "as trained") == pytest.approx(0.2)
+    assert results.score(RUN, "kl_acting", "as trained") == pytest.approx(0.6)
     assert results.score(RUN, "return", "as trained") == 33.0
     assert results.score(RUN, "return", "sigma=0.1") is None
     assert results.tests[RUN.name, "sigma=0.1"]["error"] == "no"

@@ -1,11 +1,13 @@
 """The losses of BPP and PPO on numbers a person can check."""
 
+import dataclasses
 import math
 
 import pytest
 import torch
 
 from maniskill_grpd.learning.bpp import BPP
+from maniskill_grpd.learning.lagrangian import LagrangianBPP
 from maniskill_grpd.learning.ppo import PPO
 from maniskill_grpd.learning.rollout import Batch
 from maniskill_grpd.learning.trust_region import Bounds
@@ -117,3 +119,74 @@ def test_entropy_bonus_raises_the_std():
         dist = shifted(old)
         loss, _ = losses(algorithm, dist, batch)
         assert (torch.autograd.grad(loss, dist.std)[0] < 0).all()
+
+
+def test_the_regression_on_the_projection_leaves_what_lies_inside_alone():
+    """Means outside, deviations inside: the loss draws the means, and the deviations feel nothing of it.
+
+    If the projection were not held fixed, wider deviations would make the distance of the means look smaller.
+    """
+    batch, old = make_batch()
+    batch.advantages.zero_()
+    for per_actuator in (False, True):
+        algorithm = BPP(**{**BPP_OPTIONS, "bounds": dataclasses.replace(BOUNDS, per_actuator=per_actuator)})
+        dist = shifted(old, mean_shift=1.0)
+        loss, metrics = losses(algorithm, dist, batch)
+        assert metrics["mean_bound_active"] == 1.0
+        drawn, felt = torch.autograd.grad(loss, (dist.mean, dist.std))
+        assert (drawn > 0).all()
+        assert felt.abs().max() == 0.0
+
+
+@pytest.mark.parametrize(
+    "algorithm",
+    [
+        BPP(**BPP_OPTIONS),
+        PPO(clip_coef=0.2, ent_coef=0.0),
+        LagrangianBPP(bounds=BOUNDS, dual_step=0.5, max_multiplier=9.0, ent_coef=0.0),
+    ],
+    ids=lambda algorithm: type(algorithm).__name__,
+)
+def test_the_divergence_is_that_of_the_new_policy_from_the_old(algorithm):
+    """Two actuators with twice the deviation: 3/2 (4 - 1 - log 4) each; the other way round it would be 3/2 (1/4 - 1 + log 4)."""
+    batch, old = make_batch()
+    _, metrics = losses(algorithm, shifted(old, std_factor=2.0), batch)
+    assert metrics["kl_raw"].item() == pytest.approx(2 * 1.5 * (3.0 - math.log(4.0)), rel=1e-5)
+
+
+def test_the_regression_measures_the_policy_from_its_projection():
+    """With deviations far outside KL(pi || pi_p) and its reverse differ by a factor."""
+    batch, old = make_batch()
+    dist = shifted(old, std_factor=3.0)
+    algorithm = BPP(**BPP_OPTIONS)
+    projected = algorithm.project(dist, old)
+    _, metrics = algorithm.policy_loss(dist, projected, batch)
+    ratio = (dist.std / projected.std).square().detach()
+    expected = (1.5 * (ratio - 1.0 - ratio.log())).sum((1, 2)).mean()
+    torch.testing.assert_close(metrics["trust_region_loss"], expected, rtol=1e-4, atol=0)
+
+
+def joint_kl(dist, old, mask):
+    """KL of whole actions by eq. 63, actuators that exist only: mean and covariance part, (M,)."""
+    q = (dist.std / old.std).square().squeeze(-1)
+    mean = 0.5 * ((dist.mean - old.mean) / old.std).square().sum(-1)
+    return ((mean * mask).sum(-1), (1.5 * (q - 1.0 - q.log()) * mask).sum(-1))
+
+
+def test_the_joint_bound_is_one_for_all_actuators():
+    """Sums over actuators meet the bound where it is active, one actuator may use up all of it, masked ones count nothing."""
+    batch, old = make_batch(size=200, num_actuators=3)
+    mask = torch.tensor([True, True, False]).expand(200, 3)
+    generator = torch.Generator().manual_seed(5)
+    mean = old.mean + 0.3 * torch.randn(200, 3, 3, generator=generator) * torch.tensor([1.0, 0.1, 5.0])[:, None]
+    std = old.std * torch.exp(0.3 * torch.randn(200, 3, 1, generator=generator) * torch.tensor([1.0, 0.1, 5.0])[:, None])
+    dist, old = ActionDistribution(mean, std, mask), ActionDistribution(old.mean, old.std, mask)
+    raw = joint_kl(dist, old, mask)
+    projected = BPP(**BPP_OPTIONS).project(dist, old)
+    for before, after, bound in zip(raw, joint_kl(projected, old, mask), (0.05, 0.005), strict=True):
+        active = before > bound
+        assert 20 < active.sum() < 200
+        torch.testing.assert_close(after[active], torch.full_like(after[active], bound), rtol=2e-3, atol=0)
+        torch.testing.assert_close(after[~active], before[~active])
+    step = (projected.mean - old.mean) / (dist.mean - old.mean)  # one factor for all actuators of a state
+    torch.testing.assert_close(step[:, 0], step[:, 1], rtol=1e-2, atol=1e-2)

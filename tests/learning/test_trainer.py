@@ -12,6 +12,7 @@ from toy_run import CONFIG, make_toy_trainer
 from maniskill_grpd.learning import CheckpointError, NonFiniteError, TrainConfig, Trainer, load_checkpoint
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.learning.trainer import FIRST_TRAINING_SEED, episode_seeds
+from maniskill_grpd.learning.training_state import generator_seed
 from maniskill_grpd.learning.update import FirstOrderAlgorithm
 
 
@@ -52,7 +53,7 @@ def test_grippers_learn_when_to_close(tmp_path, name):
         num_minibatches=4,
         total_timesteps=12_800,
         learning_rate=1e-2,
-        gripper_bound=0.05,
+        gripper_bound=0.1,  # of both actuators together
         eval_freq=40,
     )
     envs = (ToyEnv(num_envs, gripper=True) for num_envs in (32, 16))
@@ -257,6 +258,13 @@ def test_training_seeds_are_apart_from_evaluation_seeds_and_from_each_other():
     assert all(FIRST_TRAINING_SEED <= seed < 2**31 for seed in seeds)
     assert len(set(seeds)) == len(seeds)
     assert episode_seeds(config, 3) == episode_seeds(config, 3)
+
+
+def test_runs_with_different_seeds_share_no_episode_and_no_noise():
+    """All seeds of an iteration follow from the run's own, the generators of other processes too."""
+    first, second = (set(episode_seeds(TrainConfig(seed=seed), 3)) for seed in (1, 2))
+    assert not first & second
+    assert len({generator_seed(seed, rank) for seed in range(20) for rank in range(4)}) == 80
 
 
 def test_a_wrong_number_of_environments_is_refused(tmp_path):

@@ -1,5 +1,7 @@
 """Rollouts and the update phase."""
 
+import copy
+
 import pytest
 import torch
 from toy_env import ToyEnv, ToyPolicy
@@ -162,6 +164,21 @@ def test_value_scale_follows_recent_returns():
     restored = ValueScale(decay=0.5)
     restored.load_state_dict(scale.state_dict())
     assert (restored.mean, restored.std) == (scale.mean, scale.std)
+
+
+def test_values_stay_what_they_are_when_their_scale_moves():
+    """PopArt: the network's outputs change, what they stand for does not; without the correction values move by nats of std."""
+    policy, scale = ToyPolicy(), ValueScale(decay=0.5)
+    rollout, _ = collect(policy)
+    graph = rollout.flat_graph()
+    scale.adapt(policy, torch.tensor([1.0, 3.0]))
+    before = scale.denormalize(policy.value(graph)).detach()
+    other, uncorrected = copy.deepcopy(policy), copy.deepcopy(scale)
+    scale.adapt(policy, torch.tensor([40.0, 60.0]))
+    uncorrected.update(torch.tensor([40.0, 60.0]))
+    assert scale.mean == uncorrected.mean > 20.0
+    torch.testing.assert_close(scale.denormalize(policy.value(graph)).detach(), before, rtol=1e-5, atol=1e-4)
+    assert (uncorrected.denormalize(other.value(graph)) - before).abs().min() > 10.0
 
 
 def test_value_scale_of_constant_returns_is_finite():

@@ -87,6 +87,23 @@ def test_the_divergence_is_from_the_old_policy_not_to_it():
     assert parts.gripper.item() == pytest.approx(p * math.log(2 * p) + (1 - p) * math.log(2 * (1 - p)), rel=1e-5)
 
 
+@pytest.mark.parametrize("length", [0.5, 2.0])
+def test_spherical_entropies_are_those_of_samples(length):
+    """Length and direction of 20,000 samples with a small deviation: their own deviations give the entropies."""
+    count, std = 20_000, 0.02
+    mean = torch.tensor([[[0.0, 0.0, length]]]).expand(count, 1, 3)
+    ours = ActionDistribution(mean, torch.full((count, 1, 1), std), torch.ones(count, 1) > 0)
+    sample = ours.sample(torch.Generator().manual_seed(0))
+    radial = sample.norm(dim=-1).std().log().item() + 0.5 * math.log(2 * math.pi * math.e)
+    angles = (sample / sample.norm(dim=-1, keepdim=True))[:, :2]
+    angular = angles.std(dim=0).log().sum().item() + math.log(2 * math.pi * math.e)
+    found = ours.spherical_entropies()
+    assert found[0][0].item() == pytest.approx(radial, abs=0.03)
+    assert found[1][0].item() == pytest.approx(angular, abs=0.03)
+    resting = ActionDistribution(torch.zeros(1, 1, 3), torch.ones(1, 1, 1), torch.ones(1, 1) > 0)
+    assert resting.spherical_entropies()[1].item() == pytest.approx(math.log(4 * math.pi))
+
+
 def test_map_and_detach_reach_every_tensor():
     whole = with_grippers(0)
     whole.mean.requires_grad_()

@@ -105,3 +105,23 @@ def test_jacobian_is_finite_at_rest_on_the_goal():
     for node_type in ("object", "actuator"):
         graph[node_type]["vectors"].zero_()
     assert torch.isfinite(jacobian_norms(policy, graph, "vectors")).all()
+
+
+def test_grippers_exchange_messages_before_they_hear_of_the_object():
+    """Eq. 38 and 39 come before eq. 40 and 41: after the former, grippers know nothing of the object."""
+    policy = make_policy("grpd", SCHEMA).double()
+    graph = make_graph(1, 12, 3, dtype=torch.float64)
+    leaf = graph["object"]["vectors"].requires_grad_()
+    after = {}
+    for name in ("actuator_round", "global_round"):
+        module = getattr(policy.encoder, name)
+        module.register_forward_hook(lambda module, inputs, output, name=name: after.update({name: output}))
+    policy.distribution(graph)
+    felt = {
+        name: torch.autograd.grad(sum(t.sum() for t in features), leaf, retain_graph=True, allow_unused=True)[0]
+        if any(t.requires_grad for t in features)
+        else None
+        for name, features in after.items()
+    }
+    assert felt["actuator_round"] is None or felt["actuator_round"].abs().max() == 0.0
+    assert felt["global_round"][graph["object"]["mask"]].abs().min() > 0.0

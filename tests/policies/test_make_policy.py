@@ -1,5 +1,6 @@
 """Building policies by name, and what every policy offers."""
 
+import dataclasses
 import json
 
 import pytest
@@ -28,7 +29,7 @@ def test_unknown_option_lists_the_known_with_types_and_defaults():
         ("scalar_dim", 2.5, "must be int"),
         ("num_layers", True, "must be int"),
         ("state_dependent_std", 1, "must be bool"),
-        ("magnitude", "exp", "'softplus', 'relu'"),
+        ("magnitude", "exp", "'sigmoid', 'softplus', 'relu'"),
         ("init_std", "0.5", "must be float"),
         ("scalar_dim", 0, "at least 1"),
         ("num_layers", -1, "negative"),
@@ -129,6 +130,36 @@ def test_untrained_policy_moves_gently_and_explores_as_told(state_dependent):
     torch.testing.assert_close(distribution.std, torch.full_like(distribution.std, 0.3), rtol=0.05, atol=0)
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [*((name, {}) for name in NAMES), ("grpd", {"decoder": "naive"}), ("empn", {"decoder": "naive"})],
+    ids=str,
+)
+def test_mean_actions_are_bounded_by_norm_unless_told_otherwise(name, options):
+    """With weights a hundred times as large: 1.2 by default, whatever the decoder; far beyond with softplus."""
+    lengths = {}
+    for magnitude in ("sigmoid", "softplus"):
+        torch.manual_seed(0)
+        policy = make_policy(name, SCHEMA, magnitude=magnitude, **options)
+        with torch.no_grad():
+            for parameter in policy.mean.parameters():
+                parameter.mul_(100.0)
+            if hasattr(policy.mean, "length"):
+                policy.mean.length.bias.abs_()
+        lengths[magnitude] = policy.distribution(make_graph()).mean.norm(dim=-1).max().item()
+    assert 0.6 < lengths["sigmoid"] <= 1.2 * (1 + 1e-6)
+    assert lengths["softplus"] > 2.4
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_values_are_rescaled_without_touching_the_actions(name):
+    policy, graph = make_policy(name, SCHEMA, value_encoder="separate").double(), make_graph(dtype=torch.float64)
+    before, action = policy.value(graph).detach(), policy.act(graph, deterministic=True)
+    policy.rescale_value(0.25, -3.0)
+    torch.testing.assert_close(policy.value(graph).detach(), 0.25 * before - 3.0)
+    assert torch.equal(policy.act(graph, deterministic=True), action)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_traces_as_one_graph(name):
     """No control flow depends on data, so that torch.compile can fuse the whole pass."""
@@ -196,14 +227,9 @@ def test_independent_decoders_refuse_more_actuators_than_they_are(name):
         policy.act(make_graph(actuators=3))
 
 
-def test_options_that_came_later_do_not_change_old_configs():
-    """A config names them only where they differ, so that old checkpoints still fit."""
-    old = {"scalar_dim", "vector_dim", "magnitude", "init_std", "value_encoder", "max_degree"}
-    late = {"decoder", "decoders", "num_decoders", "gripper", "max_local_degree"}
-    options = make_policy("grpd", SCHEMA).config["options"]
-    assert old <= set(options)
-    assert not late & set(options)
+def test_a_config_names_every_option_and_rebuilds_the_policy():
     chosen = make_policy("grpd", SCHEMA, decoder="naive", gripper=True)
+    assert set(chosen.config["options"]) == {field.name for field in dataclasses.fields(POLICIES["grpd"].Options)}
     assert chosen.config["options"]["decoder"] == "naive"
     rebuilt = policy_from_config(json.loads(json.dumps(chosen.config)))
     assert rebuilt.config == chosen.config

@@ -14,7 +14,7 @@ def scene(make_env, draw_actions):
     """Worlds in motion above the table, and a policy whose actions are partly beyond the limit of the controller."""
     env = make_env(16, shapes=("W", "S", "spiral"))
     base = env.unwrapped
-    policy = make_policy("grpd", base.graph_schema)
+    policy = make_policy("grpd", base.graph_schema, magnitude="softplus")
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in policy.parameters():

@@ -40,6 +40,13 @@ class DeepSetsValue(nn.Module):
         nn.init.orthogonal_(self.outer[-1].weight, 0.1)
         nn.init.zeros_(self.outer[-1].bias)
 
+    @torch.no_grad()
+    def rescale(self, factor: float, shift: float) -> None:
+        """Change the last layer so that every value V becomes factor * V + shift."""
+        last = self.outer[-1]
+        last.weight.mul_(factor)
+        last.bias.mul_(factor).add_(shift)
+
     def forward(self, nodes: Sequence[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]) -> torch.Tensor:
         """Value of each graph.
 
