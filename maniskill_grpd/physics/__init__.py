@@ -7,6 +7,7 @@ nothing of gymnasium or ManiSkill.
 
 from maniskill_grpd.physics.cloth import ClothMaterial, cloth
 from maniskill_grpd.physics.colliders import Collider, box, capsule, cylinder, plane, prism, sphere, triangle_mesh
+from maniskill_grpd.physics.fields import STANDARD_GRAVITY
 from maniskill_grpd.physics.mesh.curves import resample_polyline
 from maniskill_grpd.physics.mesh.outlines import (
     circle_outline,
@@ -19,7 +20,6 @@ from maniskill_grpd.physics.mesh.outlines import (
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.rope import RopeMaterial, rope
 from maniskill_grpd.physics.solver import Solver
-from maniskill_grpd.physics.world_state import STANDARD_GRAVITY
 
 __all__ = [
     "STANDARD_GRAVITY",

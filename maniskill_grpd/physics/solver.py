@@ -15,7 +15,7 @@ from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
 from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects
-from maniskill_grpd.physics.world_state import WORLD_TYPES, WorldState
+from maniskill_grpd.physics.world_state import WorldState
 
 # Searches for contacts of an object with itself in one control step.
 SEARCHES_PER_STEP = 4
@@ -326,14 +326,11 @@ class Solver(WorldState):
         device, block_dim = str(self.device), choose_block_dim(self.num_nodes, self.device)
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
         colliders, meshes = upload_colliders(self.colliders, device)
-        if self.colliders:
-            colliders.positions = wp.from_torch(self.collider_positions, dtype=wp.vec3)
-            colliders.rotations = wp.from_torch(self.collider_rotations, dtype=wp.vec4)
-            colliders.sizes = wp.from_torch(self.collider_sizes, dtype=wp.vec3)
-            colliders.active = wp.from_torch(self.collider_active, dtype=wp.bool)
         worlds = Worlds()
-        for name, dtype in WORLD_TYPES.items():
-            setattr(worlds, name, wp.from_torch(getattr(self, name), dtype=dtype))
+        structs = {"worlds": worlds, "colliders": colliders}
+        for name, (field, tensor) in self.fields.items():
+            if field.struct is not None and tensor.numel():
+                setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
         touches = self._features.colliders or self._features.self_contact
         touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
         contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)

@@ -6,35 +6,11 @@ import math
 
 import numpy as np
 import torch
-import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.leashes import NO_LEASH
+from maniskill_grpd.physics.fields import FIELDS, Field
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.upload import geodesic_table
-
-STANDARD_GRAVITY = 9.81
-# How the kernel reads the tensors of the state.
-WORLD_TYPES = {
-    "variants": wp.int32,
-    "gravity": wp.vec3,
-    "plane": wp.vec4,
-    "friction": wp.float32,
-    "damping": wp.float32,
-    "stretch_scale": wp.float32,
-    "bend_scale": wp.float32,
-    "inverse_masses": wp.float32,
-    "holder": wp.int32,
-    "hold_offsets": wp.vec3,
-    "gripper_nodes": wp.int32,
-    "leashes": wp.float32,
-    "gripper_targets": wp.vec3,
-    "gripper_positions": wp.vec3,
-    "gripper_forces": wp.vec3,
-    "positions": wp.vec3,
-    "velocities": wp.vec3,
-    "frozen": wp.bool,
-}
 
 
 class WorldState:
@@ -51,60 +27,68 @@ class WorldState:
         self.num_nodes = max(model.num_nodes for model in models)
         self.colliders = colliders
         self.device = device
+        self._sizes = {"nodes": self.num_nodes, "grippers": num_grippers, "colliders": len(colliders)}
         self._allocate_variants()
         self._allocate_state()
-        self._allocate_colliders()
+
+    @property
+    def fields(self) -> dict[str, tuple[Field, torch.Tensor]]:
+        """All fields of the state with their tensors, by name."""
+        return {name: (field, getattr(self, name)) for name, field in FIELDS.items()}
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that the next step depends on, each as a copy (B, D) in float32."""
         return {
-            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True) for name, tensor in self._state_tensors.items()
+            name: tensor.reshape(self.num_worlds, -1).to(torch.float32, copy=True) for name, (_, tensor) in self._saved.items()
         }
+
+    def check_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
+        """Check whether `set_state` takes a state; its arguments.
+
+        Raises:
+            ValueError: If a field is missing or unknown, or has the wrong shape or a value out of its range.
+        """
+        saved, count = self._saved, self.num_worlds if world_idx is None else len(world_idx)
+        if missing := sorted(set(saved) - set(state)):
+            raise ValueError(f"the solver's state lacks {missing}; it needs {sorted(saved)}")
+        if unknown := sorted(set(state) - set(saved)):
+            raise ValueError(f"the solver's state has no {unknown}; it needs {sorted(saved)}")
+        for name, (_, tensor) in saved.items():
+            width = math.prod(tensor.shape[1:])
+            if tuple(state[name].shape) != (count, width):
+                raise ValueError(f"state {name!r} must be ({count}, {width}), got {tuple(state[name].shape)}")
+        last = {"variants": torch.full((count,), len(self.models) - 1, device=self.device)}
+        last["grippers"] = torch.full((count,), self.num_grippers - 1, device=self.device)
+        if "variants" in saved:
+            FIELDS["variants"].check("state 'variants'", state["variants"].to(self.device), last)
+            variants = state["variants"][:, 0].to(self.device, torch.int64)
+        else:
+            variants = self.variants.new_zeros(count, dtype=torch.int64)
+        last["nodes"] = self._node_masks.sum(dim=1)[variants] - 1
+        for name, (field, _) in saved.items():
+            field.check(f"state {name!r}", state[name].to(self.device), last)
 
     def set_state(self, state: dict[str, torch.Tensor], world_idx: torch.Tensor | None = None) -> None:
         """Restore what `state()` returned, for all worlds or for `world_idx` (b,) with rows (b, D).
 
         Raises:
-            ValueError: If a group is missing or has the wrong width.
+            ValueError: If the state does not fit, see `check_state`; nothing is changed then.
         """
-        missing = sorted(set(self._state_tensors) - set(state))
-        if missing:
-            raise ValueError(f"the solver's state lacks {missing}; it needs {sorted(self._state_tensors)}")
+        self.check_state(state, world_idx)
         rows = slice(None) if world_idx is None else world_idx
-        for name, tensor in self._state_tensors.items():
-            value = state[name]
-            width = math.prod(tensor.shape[1:])
-            if value.ndim != 2 or value.shape[1] != width:
-                raise ValueError(f"state {name!r} must be (worlds, {width}), got {tuple(value.shape)}")
-            tensor[rows] = value.reshape(-1, *tensor.shape[1:]).to(tensor)
+        for name, (_, tensor) in self._saved.items():
+            tensor[rows] = state[name].reshape(-1, *tensor.shape[1:]).to(tensor)
         self.node_mask[rows] = self._node_masks[self.variants[rows].long()]
 
     @property
-    def _state_tensors(self) -> dict[str, torch.Tensor]:
-        names = [
-            "positions",
-            "velocities",
-            "inverse_masses",
-            "gravity",
-            "plane",
-            "friction",
-            "damping",
-            "stretch_scale",
-            "bend_scale",
-            "gripper_positions",
-            "gripper_targets",
-            "gripper_nodes",
-            "closed",
-            "holder",
-            "hold_offsets",
-            "leashes",
-            "frozen",
-        ]
-        if len(self.models) > 1:
-            names.append("variants")
-        if self.colliders:
-            names += ["collider_positions", "collider_rotations", "collider_sizes", "collider_active"]
-        return {name: getattr(self, name) for name in names}
+    def _saved(self) -> dict[str, tuple[Field, torch.Tensor]]:
+        """Fields on which the future depends; those of variants and colliders only where there are any."""
+        unused = {"variants"} if len(self.models) == 1 else set()
+        return {
+            name: (field, tensor)
+            for name, (field, tensor) in self.fields.items()
+            if field.is_saved and name not in unused and (self.colliders or "colliders" not in field.shape)
+        }
 
     def _allocate_variants(self) -> None:
         """Tabulate what differs between variants, padded to N nodes: (M, N, ...)."""
@@ -121,33 +105,13 @@ class WorldState:
         self._damping = torch.tensor([model.damping for model in self.models], device=device)
 
     def _allocate_state(self) -> None:
-        shape, device = (self.num_worlds, self.num_nodes), self.device
-        self.variants = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
+        """Allocate all fields at their start values, then write what the first model and the colliders say."""
+        for name, field in FIELDS.items():
+            setattr(self, name, field.allocate(self.num_worlds, self._sizes, self.device))
         self.node_mask = self._node_masks[:1].repeat(self.num_worlds, 1)
-        self.positions = self._rest_positions[:1].repeat(self.num_worlds, 1, 1)
-        self.velocities = torch.zeros(*shape, 3, device=device)
-        self.inverse_masses = self._inverse_masses[:1].repeat(self.num_worlds, 1)
-        self.gravity = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=device).repeat(self.num_worlds, 1)
-        self.plane = torch.tensor([0.0, 0.0, 1.0, 0.0], device=device).repeat(self.num_worlds, 1)
-        self.friction = torch.full((self.num_worlds,), self.model.friction, device=device)
-        self.damping = torch.full((self.num_worlds,), self.model.damping, device=device)
-        self.stretch_scale = torch.ones(self.num_worlds, device=device)
-        self.bend_scale = torch.ones(self.num_worlds, device=device)
-        self.gripper_positions = torch.zeros(self.num_worlds, self.num_grippers, 3, device=device)
-        self.gripper_targets = torch.zeros_like(self.gripper_positions)
-        self.gripper_forces = torch.zeros_like(self.gripper_positions)
-        self.gripper_nodes = torch.full((self.num_worlds, self.num_grippers), -1, dtype=torch.int32, device=device)
-        self.closed = torch.zeros(self.num_worlds, self.num_grippers, dtype=torch.bool, device=device)
-        self.holder = torch.full(shape, -1, dtype=torch.int32, device=device)
-        self.hold_offsets = torch.zeros(*shape, 3, device=device)
-        self.leashes = torch.full((self.num_worlds, self.num_grippers, self.num_grippers), NO_LEASH, device=device)
-        self.frozen = torch.zeros(self.num_worlds, dtype=torch.bool, device=device)
-        self.dropped_contacts = torch.zeros(self.num_worlds, dtype=torch.int32, device=device)
-
-    def _allocate_colliders(self) -> None:
-        device, shape = self.device, (self.num_worlds, len(self.colliders))
-        self.collider_positions = torch.zeros(*shape, 3, device=device)
-        self.collider_rotations = torch.tensor([1.0, 0.0, 0.0, 0.0], device=device).repeat(*shape, 1)
+        self.positions[:] = self._rest_positions[0]
+        self.inverse_masses[:] = self._inverse_masses[0]
+        self.friction[:] = self._friction[0]
+        self.damping[:] = self._damping[0]
         sizes = np.array([collider.size for collider in self.colliders], dtype=np.float32).reshape(-1, 3)
-        self.collider_sizes = torch.as_tensor(sizes, device=device).repeat(self.num_worlds, 1, 1)
-        self.collider_active = torch.ones(shape, dtype=torch.bool, device=device)
+        self.collider_sizes[:] = torch.as_tensor(sizes, device=self.device)

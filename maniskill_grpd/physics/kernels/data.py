@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from maniskill_grpd.physics.fields import Field, fields_of_struct
 from maniskill_grpd.physics.kernels.lanes import Numbers, Vectors
 
 
@@ -91,18 +92,23 @@ class Objects:
     is_rope: wp.array(dtype=wp.bool)
 
 
-@wp.struct
-class Colliders:
-    """The K colliders and their pose, size and switch in every world."""
+def _record(name: str, fields: dict[str, Field], doc: str, **others: wp.array) -> type:
+    """Return a class with the annotations of some fields and of others beside them."""
+    annotations = {**others, **{key: field.array_type for key, field in fields.items()}}
+    return type(name, (), {"__annotations__": annotations, "__doc__": doc, "__module__": __name__, "__qualname__": name})
 
-    kinds: wp.array(dtype=int)
-    polygon_sizes: wp.array(dtype=int)
-    polygons: wp.array2d(dtype=wp.vec2)
-    meshes: wp.array(dtype=wp.uint64)
-    positions: wp.array2d(dtype=wp.vec3)
-    rotations: wp.array2d(dtype=wp.vec4)
-    sizes: wp.array2d(dtype=wp.vec3)
-    active: wp.array2d(dtype=wp.bool)
+
+Colliders = wp.struct(
+    _record(
+        "Colliders",
+        fields_of_struct("colliders"),
+        "The K colliders: their shapes, and their pose, size and switch in every world.",
+        kinds=wp.array(dtype=int),
+        polygon_sizes=wp.array(dtype=int),
+        polygons=wp.array2d(dtype=wp.vec2),
+        meshes=wp.array(dtype=wp.uint64),
+    )
+)
 
 
 @wp.struct
@@ -138,28 +144,7 @@ class SelfContacts:
     dropped: wp.array(dtype=int)
 
 
-@wp.struct
-class Worlds:
-    """The state of all worlds as the solver's tensors hold it, see `Solver`."""
-
-    variants: wp.array(dtype=int)
-    gravity: wp.array(dtype=wp.vec3)
-    plane: wp.array(dtype=wp.vec4)
-    friction: wp.array(dtype=float)
-    damping: wp.array(dtype=float)
-    stretch_scale: wp.array(dtype=float)
-    bend_scale: wp.array(dtype=float)
-    inverse_masses: wp.array2d(dtype=float)
-    holder: wp.array2d(dtype=int)
-    hold_offsets: wp.array2d(dtype=wp.vec3)
-    gripper_nodes: wp.array2d(dtype=int)
-    leashes: wp.array3d(dtype=float)
-    gripper_targets: wp.array2d(dtype=wp.vec3)
-    gripper_positions: wp.array2d(dtype=wp.vec3)
-    gripper_forces: wp.array2d(dtype=wp.vec3)
-    positions: wp.array2d(dtype=wp.vec3)
-    velocities: wp.array2d(dtype=wp.vec3)
-    frozen: wp.array(dtype=wp.bool)
+Worlds = wp.struct(_record("Worlds", fields_of_struct("worlds"), "The state of all worlds, see `FIELDS`."))
 
 
 @wp.struct

@@ -81,7 +81,20 @@ class RestorableWorlds(MeasuredWorlds):
             raise ValueError(f"env_idx must be indices in [0, {self.num_envs}) or a mask ({self.num_envs},), got {env_idx}")
         return worlds.long()
 
+    def _check_state(self, state: StateDict, worlds: torch.Tensor) -> None:
+        """Check everything that is an index or has a range, before anything is written.
+
+        Raises:
+            ValueError: If a value is out of its range.
+        """
+        self.solver.check_state(state["solver"], worlds)
+        nodes, start_nodes = self.solver.num_nodes, state["episode"]["start_nodes"]
+        is_node = (start_nodes == start_nodes.floor()) & (start_nodes >= 0) & (start_nodes < nodes)
+        if not is_node.all():
+            raise ValueError(f"start_nodes must be whole numbers in [0, {nodes - 1}], got {start_nodes[~is_node][0].item():g}")
+
     def _write_state(self, state: StateDict, worlds: torch.Tensor) -> None:
+        self._check_state(state, worlds)
         self.solver.set_state(state["solver"], worlds)
         self.scene.grip_commands[worlds] = self.solver.closed[worlds]
         for agent in self._agents:

@@ -30,20 +30,44 @@ def checked_motion(rotation: torch.Tensor, translation: torch.Tensor, num_worlds
 
 
 def move_solver(solver: Solver, rotation: torch.Tensor, translation: torch.Tensor) -> None:
-    """Move all worlds rigidly, x -> R x + t: objects, grippers, table, obstacles and gravity.
+    """Move all worlds rigidly, x -> R x + t: every field of the state in its own way.
 
     Args:
         solver: Changed in place.
         rotation: (B, 3, 3).
         translation: (B, 3) [m].
     """
-    for points in (solver.positions, solver.gripper_positions, solver.gripper_targets, solver.collider_positions):
-        points.copy_(points @ rotation.mT + translation[:, None])
-    for vectors in (solver.velocities, solver.hold_offsets, solver.gripper_forces):
-        vectors.copy_(vectors @ rotation.mT)
-    solver.gravity.copy_((rotation @ solver.gravity[..., None])[..., 0])
-    normal = (rotation @ solver.plane[:, :3, None])[..., 0]
-    offset = solver.plane[:, 3:] + (normal * translation).sum(1, keepdim=True)
-    solver.plane.copy_(torch.cat([normal, offset], dim=1))
-    turns = matrix_to_quaternion(rotation)[:, None].expand_as(solver.collider_rotations)
-    solver.collider_rotations.copy_(quaternion_multiply(turns, solver.collider_rotations))
+    for field, tensor in solver.fields.values():
+        rows = tensor.view(solver.num_worlds, tensor[0].numel() // field.num_components, field.num_components)
+        rows.copy_(MOTIONS[field.moves](rows, rotation, translation))
+
+
+def _move_positions(positions: torch.Tensor, rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+    return positions @ rotation.mT + translation[:, None]
+
+
+def _move_vectors(vectors: torch.Tensor, rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+    return vectors @ rotation.mT
+
+
+def _move_planes(planes: torch.Tensor, rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+    normals = planes[..., :3] @ rotation.mT
+    return torch.cat([normals, planes[..., 3:] + (normals * translation[:, None]).sum(-1, keepdim=True)], dim=-1)
+
+
+def _move_rotations(rotations: torch.Tensor, rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+    return quaternion_multiply(matrix_to_quaternion(rotation)[:, None].expand_as(rotations), rotations)
+
+
+def _keep(scalars: torch.Tensor, rotation: torch.Tensor, translation: torch.Tensor) -> torch.Tensor:
+    return scalars
+
+
+MOTIONS = {
+    "position": _move_positions,
+    "vector": _move_vectors,
+    "plane": _move_planes,
+    "rotation": _move_rotations,
+    "scalar": _keep,
+}
+"""How fields change, by `Field.moves`; every kind there is has to be here."""
