@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("mani_skill")
 
+from maniskill_grpd.tasks import GOAL_SHAPES
 from tools.docs.benchmark_pages import policy_page, slope
 from tools.docs.pages import DOCS, pages
 
@@ -64,3 +65,10 @@ def test_the_summary_of_policies_is_of_the_size_at_which_actuators_were_varied()
     rows[0]["machine"] = {}
     assert "1,000 nodes, 4 actuators" in policy_page(rows)
     assert "| a | 7 | 1004.0 |" in policy_page(rows)
+
+
+def test_every_goal_shape_was_searched_with_two_and_four_grippers():
+    searches = json.loads((DOCS / "benchmarks" / "goal_shapes.json").read_text())
+    assert {(row["shape"], row["num_grippers"]) for row in searches} == {(shape, n) for shape in GOAL_SHAPES for n in (2, 4)}
+    solved = [row for row in searches if row["success"]]
+    assert all(row["mean_distance"] <= 0.03 and row["max_distance"] <= 0.08 for row in solved)
