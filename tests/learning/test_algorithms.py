@@ -56,6 +56,19 @@ def test_bpp_at_the_old_policy_is_the_plain_policy_gradient():
     torch.testing.assert_close(gradient, expected)
 
 
+def test_a_mean_outside_its_bound_leaves_a_std_inside_its_own_alone():
+    """The policy is drawn to its projection, not the projection to the policy: without that, sigma would shrink or grow."""
+    batch, old = make_batch()
+    batch = dataclasses.replace(batch, advantages=torch.zeros_like(batch.advantages))
+    dist = shifted(old, mean_shift=1.0)
+    loss, metrics = losses(BPP(**BPP_OPTIONS), dist, batch)
+    mean_gradient, std_gradient = torch.autograd.grad(loss, [dist.mean, dist.std])
+    assert metrics["mean_bound_active"] == 1.0
+    assert metrics["cov_bound_active"] == 0.0
+    assert mean_gradient.abs().min() > 0.0
+    assert std_gradient.abs().max() < 1e-6 * mean_gradient.abs().max()
+
+
 def test_bpp_bounds_the_projected_policy_and_reports_the_raw_one():
     batch, old = make_batch()
     _, metrics = losses(BPP(**BPP_OPTIONS), shifted(old, mean_shift=1.0, std_factor=2.0), batch)
