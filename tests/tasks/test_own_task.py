@@ -2,6 +2,7 @@
 
 import gc
 import importlib.util
+import runpy
 import sys
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from maniskill_grpd.experts import EXPERTS, Expert, make_expert, register_expert
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.tasks import Measurement, Metric, check_task
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "own_task.py"
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "examples" / "own_task.py"
 ENV_ID = "RopeClosing-v1"
 NOISE = Channel("noise", "scalar", "", "")
 
@@ -46,16 +48,19 @@ def test_the_example_is_short_and_keeps_its_promises(task):
     check_task(gym.make(ENV_ID, num_envs=2, obs_mode="state", sim_backend="cpu", render_backend="none"))
 
 
-def test_an_own_expert_solves_the_example(task):
-    class ClosingExpert(Expert):
-        def act(self):
-            ways = (self.env.goal[:, None] - self.env.solver.gripper_positions) / 0.03
-            return (ways / ways.norm(dim=-1, keepdim=True).clamp(min=1.0)).flatten(1)
+class ClosingExpert(Expert):
+    """Pulls both ends straight to the point."""
 
+    def act(self):
+        """See `Expert.act`."""
+        ways = (self.env.goal[:, None] - self.env.solver.gripper_positions) / 0.03
+        return (ways / ways.norm(dim=-1, keepdim=True).clamp(min=1.0)).flatten(1)
+
+
+def test_an_own_expert_solves_the_example(task):
     with pytest.raises(TypeError, match=r"ClosingExpert.task must be the class"):
         register_expert(ENV_ID, ClosingExpert)
-    ClosingExpert.task = task
-    register_expert(ENV_ID, ClosingExpert)
+    register_expert(ENV_ID, type("OwnExpert", (ClosingExpert,), {"task": task}))
     env = gym.make(ENV_ID, num_envs=8, sim_backend="cpu", render_backend="none")
     env.reset(seed=0)
     expert = make_expert(ENV_ID, env)
@@ -63,6 +68,20 @@ def test_an_own_expert_solves_the_example(task):
         info = env.step(expert.act())[4]
     assert info["success"].all()
     env.close()
+
+
+def test_gallery_and_benchmarks_find_a_task_by_its_registration(task, monkeypatch):
+    for folder in ("benchmarks", "tools/docs"):
+        monkeypatch.syspath_prepend(str(ROOT / folder))
+    benchmark, gallery = (runpy.run_path(str(ROOT / name)) for name in ("benchmarks/tasks.py", "tools/docs/task_gallery.py"))
+    assert ENV_ID in benchmark["task_ids"]()
+    assert ENV_ID not in gallery["episodes"]()  # nothing to show without an expert
+    register_expert(ENV_ID, type("OwnExpert", (ClosingExpert,), {"task": task}))
+    frames, num_steps = gallery["play_expert"](ENV_ID, gallery["episodes"]()[ENV_ID])
+    assert 5 < num_steps < len(frames)
+    env = benchmark["make_env"](ENV_ID, 2)
+    scores = benchmark["play"](env, make_expert(ENV_ID, env).act, [0, 1])
+    assert scores["success_at_end"] == 1.0
 
 
 @pytest.mark.parametrize(
