@@ -15,7 +15,7 @@ from mani_skill.utils.wrappers import CPUGymWrapper, RecordEpisode
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from scipy.spatial.transform import Rotation
 
-from maniskill_grpd.experiments.studies import ALL_TASKS
+from maniskill_grpd.experiments.studies import MAIN
 from maniskill_grpd.experts import EXPERTS
 from maniskill_grpd.tasks import DeformableEnv, check_task
 from maniskill_grpd.tasks.pictures.render_device import can_draw
@@ -66,7 +66,7 @@ def assert_equal(tree, other, rows=slice(None), other_rows=slice(None)):
 def test_every_task_has_a_time_limit_and_an_expert():
     assert len(TASKS) >= 4
     assert sorted(EXPERTS) == TASKS
-    assert {task.env_id for task in ALL_TASKS} == set(TASKS)  # of the studies
+    assert {task.env_id for task in MAIN.tasks} == set(TASKS)  # of the studies
     assert all(REGISTERED_ENVS[uid].max_episode_steps == 100 for uid in TASKS)
 
 
