@@ -146,7 +146,7 @@ MUTANTS = (
         edges = self.actuator_geometry.complete(tools, grippers["mask"], tools, exclude_self=True)
         return objects, self.actuator_round(actuators, actuators, edges)
 """,
-        "tests/policies",
+        "tests/policies/test_jacobian.py",
     ),
     Mutant(
         "the KL is from the old policy to the new one",
