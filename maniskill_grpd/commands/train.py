@@ -41,8 +41,12 @@ def default_options(arguments: Sequence[str]) -> TrainConfig:
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--resume", type=Path)
     resumed = finder.parse_known_args(arguments)[0].resume
-    config = TrainConfig() if resumed is None else read_run_config(resumed, allow_import=ALLOW_IMPORT in arguments)
-    return dataclasses.replace(config, resume=None)
+    if resumed is None:
+        return TrainConfig()
+    config = read_run_config(resumed, allow_import=ALLOW_IMPORT in arguments)
+    # The weights that the run began with are those of its own checkpoint by now.
+    checkpoint = None if (resumed / "last.pt").exists() else config.checkpoint
+    return dataclasses.replace(config, resume=None, checkpoint=checkpoint)
 
 
 def parse_train_options(arguments: Sequence[str]) -> TrainConfig:

@@ -60,8 +60,9 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
     Raises:
         ValueError: Naming what is allowed.
     """
-    if "graph" not in str(options["obs_mode"]).split("+"):
-        raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {options['obs_mode']!r}")
+    obs_mode = options.get("obs_mode", "graph")
+    if "graph" not in str(obs_mode).split("+"):
+        raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {obs_mode!r}")
     if ":" in env_id:
         return
     tasks = {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}

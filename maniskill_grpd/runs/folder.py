@@ -1,5 +1,10 @@
 """Where runs lie. Imports nothing of the package, so that a run can be named without the simulator."""
 
+from __future__ import annotations
+
+import contextlib
+import fcntl
+from collections.abc import Iterator
 from pathlib import Path
 
 RUNS = Path("runs")
@@ -15,3 +20,25 @@ def check_name(name: str) -> str:
     if not name or Path(name).is_absolute() or ".." in Path(name).parts or Path(name) == Path():
         raise ValueError(f"exp_name must name a folder below {RUNS}/, without '..', got {name!r}")
     return name
+
+
+@contextlib.contextmanager
+def hold_run(run_dir: Path) -> Iterator[None]:
+    """Keep other processes away from a run; the lock ends with the process that holds it, however that ends.
+
+    Raises:
+        RunInUseError: If another process works at the run.
+    """
+    run_dir.mkdir(parents=True, exist_ok=True)
+    with (run_dir / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise RunInUseError(
+                f"another process works at {run_dir}; wait for it, stop it, or choose another --exp_name"
+            ) from None
+        yield
+
+
+class RunInUseError(ValueError):
+    """Two processes are asked to work at one run."""

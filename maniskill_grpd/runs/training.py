@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from pathlib import Path
@@ -13,9 +14,9 @@ from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.workers import Workers, join_workers
 from maniskill_grpd.policies import make_policy
-from maniskill_grpd.runs.environments import make_vector_env
+from maniskill_grpd.runs.environments import check_task, make_vector_env
 from maniskill_grpd.runs.fingerprint import describe_task
-from maniskill_grpd.runs.folder import RUNS
+from maniskill_grpd.runs.folder import RUNS, hold_run
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
 from maniskill_grpd.runs.record import make_run_name, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
@@ -35,7 +36,9 @@ def train(config: TrainConfig) -> Path:
 
     Raises:
         FileExistsError: If the folder already holds a run that is not to be resumed.
+        RunInUseError: If another process works at it.
     """
+    check_task(config.env_id, config.env_options)
     device = choose_device(config.sim_backend)
     workers = join_workers(device)
     run_dir = Path(config.resume) if config.resume else RUNS / workers.gather(make_run_name(config))[0]
@@ -43,8 +46,17 @@ def train(config: TrainConfig) -> Path:
     is_taken = workers.gather((run_dir / "config.json").exists())[0]
     if not config.resume and is_taken:
         raise FileExistsError(f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name")
+    with hold_run(run_dir) if workers.is_first else contextlib.nullcontext():
+        _train_in(run_dir, config, workers)
+    return run_dir
+
+
+def _train_in(run_dir: Path, config: TrainConfig, workers: Workers) -> None:
+    """Train in a folder that no other process works at."""
     trainer = make_trainer(config, run_dir, workers)
-    if config.resume:
+    # A run that was stopped before its first checkpoint begins anew.
+    has_checkpoint = workers.gather((run_dir / "last.pt").exists())[0]
+    if config.resume and has_checkpoint:
         trainer.load(run_dir / "last.pt")
     elif config.checkpoint:
         trainer.load_weights(config.checkpoint)
@@ -53,7 +65,6 @@ def train(config: TrainConfig) -> Path:
     trainer.train()
     if workers.is_first:
         finish(trainer)
-    return run_dir
 
 
 def choose_device(sim_backend: str) -> torch.device:

@@ -14,7 +14,13 @@ from maniskill_grpd.commands.dispatch import describe_unknown
 from maniskill_grpd.commands.run_command import _unframed
 
 PACKAGE = Path(importlib.import_module("maniskill_grpd").__file__).parent
-NEEDED = {"plot": ["runs"], **dict.fromkeys(("evaluate", "inspect", "video"), ["--checkpoint", "a.pt"])}
+NEEDED = {
+    "plot": ["runs"],
+    "study": ["--study", "main"],
+    "sweep": ["--name", "s"],
+    "evaluate_study": ["--study", "main", "--checkpoint", "a.pt"],
+    **dict.fromkeys(("evaluate", "inspect", "video"), ["--checkpoint", "a.pt"]),
+}
 """What a command asks for, by its name."""
 NOT_COMMANDS = {"__init__", "dispatch", "run_command"}
 

@@ -1,12 +1,6 @@
 """The program that tests the tests."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-
 from mutants import MUTANTS, Mutant, StaleMutantError, check
 
 GOOD = Mutant("doubles", "sum.py", "a + b", "a + 2 * b", "test_sum.py")
