@@ -24,10 +24,18 @@ class WorldGroups:
     """
 
     def __init__(
-        self, models: Sequence[Model], num_worlds: int, num_grippers: int, has_tethers: bool, device: torch.device
+        self,
+        models: Sequence[Model],
+        num_worlds: int,
+        num_grippers: int,
+        *,
+        has_tethers: bool,
+        in_lanes: bool,
+        device: torch.device,
     ) -> None:
         """Allocate all groups, with the first variant in all worlds."""
-        self.in_lanes = device.type == "cpu"
+        self.in_lanes = in_lanes
+        self._num_variants = len(models)
         self._device = device
         self._width = WIDTH if self.in_lanes else 1
         partial = min(len(models), num_worlds)  # every variant may have a group that is not full
@@ -42,15 +50,18 @@ class WorldGroups:
         self._allocate_columns(nodes, edges, num_grippers, nodes if has_tethers else 1)
 
     def assign(self, variants: torch.Tensor) -> None:
-        """Put worlds into groups of one variant each; `variants` (B,) int32."""
-        worlds = torch.arange(len(variants), dtype=torch.int32, device=self._device)
-        alike = [worlds[variants == variant] for variant in torch.unique(variants)] if self.in_lanes else [worlds]
-        groups = [members for each in alike for members in each.split(self._width)]
-        self._counts.zero_()
-        for group, members in enumerate(groups):
-            self._members[group] = members[0]  # lanes without a world of their own repeat the first
-            self._members[group, : len(members)] = members
-            self._counts[group] = len(members)
+        """Put worlds into groups of one variant each, without looking at single worlds from Python; `variants` (B,) int32."""
+        variant, order = torch.sort(variants.long(), stable=True)
+        num_worlds = torch.bincount(variant, minlength=self._num_variants)
+        num_groups = (num_worlds + self._width - 1) // self._width
+        first_world, first_group = num_worlds.cumsum(0) - num_worlds, num_groups.cumsum(0) - num_groups
+        place = torch.arange(len(variant), device=self._device) - first_world[variant]
+        group, lane = first_group[variant] + place // self._width, place % self._width
+        self._members[group, lane] = order.to(torch.int32)
+        self._counts.copy_(torch.bincount(group, minlength=self.count))
+        is_taken = torch.arange(self._width, device=self._device) < self._counts[:, None]
+        # Lanes without a world of their own repeat the first.
+        self._members.copy_(torch.where(is_taken, self._members, self._members[:, :1]))
 
     def _allocate_columns(self, nodes: int, edges: int, grippers: int, tethered: int) -> None:
         columns = {

@@ -124,7 +124,14 @@ class Solver(WorldState):
         self._features = choose_features(self.models, self.colliders, self_collision)
         with quiet_warp():
             wp.init()
-            self._groups = WorldGroups(self.models, num_worlds, num_grippers, self._features.tethers, self.device)
+            self._groups = WorldGroups(
+                self.models,
+                num_worlds,
+                num_grippers,
+                has_tethers=self._features.tethers,
+                in_lanes=self._advances_lanes(),
+                device=self.device,
+            )
             commands = self._record_commands(choose_num_threads(num_threads, num_worlds, self.device))
         self._launches = Launches(commands, self.device)
 
@@ -323,7 +330,7 @@ class Solver(WorldState):
 
     def _record_commands(self, num_threads: int) -> list[wp.Launch]:
         """Record one launch per thread, each over every `num_threads`-th group of worlds."""
-        device, block_dim = str(self.device), choose_block_dim(self.num_nodes, self.device)
+        device = str(self.device)
         objects = upload_objects(self.models, wp.from_torch(self._geodesics, dtype=wp.float32), device)
         colliders, meshes = upload_colliders(self.colliders, device)
         worlds = Worlds()
@@ -339,15 +346,22 @@ class Solver(WorldState):
         timing.search_interval = max(1, self.substeps // SEARCHES_PER_STEP)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
         self._uploaded = [objects, colliders, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
+        self._inputs = [objects, colliders, worlds, self._groups.data, touch, contacts, timing]
         num_threads = min(num_threads, self._groups.count)
-        return [
-            wp.launch(
-                build_step_kernel(self._features, self._groups.in_lanes),
-                dim=(len(range(part, self._groups.count, num_threads)), block_dim),
-                inputs=[objects, colliders, worlds, self._groups.data, touch, contacts, timing, part, num_threads],
-                device=device,
-                block_dim=block_dim,
-                record_cmd=True,
-            )
-            for part in range(num_threads)
-        ]
+        return [self._record_command(part, num_threads, 0, 1) for part in range(num_threads)]
+
+    def _advances_lanes(self) -> bool:
+        """Whether many worlds are advanced in the lanes of one thread, rather than one by the threads of a block."""
+        return self.device.type == "cpu"
+
+    def _record_command(self, first_group: int, group_stride: int, first_thread: int, thread_stride: int) -> wp.Launch:
+        """Record a launch over every `group_stride`-th group, for every `thread_stride`-th part of the work on each."""
+        block_dim = choose_block_dim(self.num_nodes, self.device)
+        return wp.launch(
+            build_step_kernel(self._features, self._groups.in_lanes),
+            dim=(len(range(first_group, self._groups.count, group_stride)), block_dim),
+            inputs=[*self._inputs, first_group, group_stride, first_thread, thread_stride],
+            device=str(self.device),
+            block_dim=block_dim,
+            record_cmd=True,
+        )

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.data import Objects, Thread
 from maniskill_grpd.physics.kernels.impulses import push_node
 from maniskill_grpd.physics.kernels.lanes import add, div, mul, spread, sub  # noqa: F401 (operators on lanes)

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.colliders import local_distance, place_collider
 from maniskill_grpd.physics.kernels.data import Colliders, Objects, PlacedCollider, Thread, Touch
 from maniskill_grpd.physics.kernels.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.contact_search import (
     BLOCK,
     bound_block,

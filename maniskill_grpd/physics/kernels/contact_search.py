@@ -6,6 +6,7 @@ is far away as a whole. Every owner writes into its own slots only.
 
 import warp as wp
 
+from maniskill_grpd.physics.kernels.block import count_up
 from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Touch
 from maniskill_grpd.physics.kernels.self_contact import MAX_CONTACTS_PER_NODE, SLOTS, barycentric_gap, closest_weights, facing
 
@@ -196,7 +197,7 @@ def register_contacts(world: int, owner: int, contacts: SelfContacts) -> int:
         slot = owner * SLOTS + index
         nodes = contacts.nodes[world, slot]
         for k in range(4):
-            entry = wp.atomic_add(contacts.num_of_node, world, nodes[k], 1)
+            entry = count_up(contacts.num_of_node, world, nodes[k])
             if entry < MAX_CONTACTS_PER_NODE:
                 contacts.of_node[world, nodes[k], entry] = 4 * slot + k
             else:

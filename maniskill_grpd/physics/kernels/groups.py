@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.barrier import synchronize_block
+from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import resolve_contact
 from maniskill_grpd.physics.kernels.data import Objects, Thread, Timing, Worlds
 from maniskill_grpd.physics.kernels.grippers import is_valid

@@ -9,6 +9,7 @@ within a substep is brought back.
 
 import warp as wp
 
+from maniskill_grpd.physics.kernels.block import count_up
 from maniskill_grpd.physics.kernels.data import SelfContacts, Touch
 
 # Candidates that one node or segment can own, and contacts that one node can take part in.
@@ -173,7 +174,7 @@ def compute_contact_impulse(
         cancelled = wp.min(1.0, friction * depth / slip)
     contacts.impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
     for k in range(4):
-        wp.atomic_add(contacts.num_active, world, nodes[k], 1)
+        count_up(contacts.num_active, world, nodes[k])
 
 
 @wp.func

@@ -10,8 +10,8 @@ from functools import cache
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.barrier import synchronize_block
 from maniskill_grpd.physics.kernels.bending import project_bends, project_hinges
+from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import project_colliders
 from maniskill_grpd.physics.kernels.contact_phases import (
     add_reactions,
@@ -131,8 +131,13 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         timing: Timing,
         first_group: int,
         group_stride: int,
+        first_thread: int,
+        thread_stride: int,
     ):
-        """Advance every group by substeps of one XPBD iteration each (Macklin et al. 2016, 2019)."""
+        """Advance every group by substeps of one XPBD iteration each (Macklin et al. 2016, 2019).
+
+        A block whose threads are those of several launches has `thread_stride` launches, numbered by `first_thread`.
+        """
         index, first = wp.tid()
         group = first_group + index * group_stride
         if is_idle(group, worlds, groups):
@@ -140,8 +145,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         thread = Thread()
         thread.group = group
         thread.variant = worlds.variants[groups.members[group, 0]]
-        thread.first = first
-        thread.stride = wp.block_dim()
+        thread.first = first * thread_stride + first_thread
+        thread.stride = wp.block_dim() * thread_stride
         num_nodes = objects.node_counts[thread.variant]
         load_group(thread, timing, objects, colliders, worlds, groups, touch)
         for substep in range(timing.num_substeps):
