@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import numpy as np
 import torch
@@ -11,6 +12,23 @@ from maniskill_grpd.physics.colliders import Collider
 from maniskill_grpd.physics.fields import FIELDS, Field
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.upload import geodesic_table
+
+
+def _check_memory(num_worlds: int, sizes: dict[str, int], device: torch.device) -> None:
+    """Refuse worlds whose state does not fit into the memory there is.
+
+    Raises:
+        ValueError: With what is needed and what there is.
+    """
+    needed = num_worlds * sum(field.num_bytes(sizes) for field in FIELDS.values())
+    if device.type == "cuda":
+        available = torch.cuda.mem_get_info(device)[0]
+    else:
+        available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > available:
+        raise ValueError(
+            f"{num_worlds} worlds need {needed / 2**30:.1f} GiB for their state alone, {device} has {available / 2**30:.1f} GiB"
+        )
 
 
 class WorldState:
@@ -28,6 +46,7 @@ class WorldState:
         self.colliders = colliders
         self.device = device
         self._sizes = {"nodes": self.num_nodes, "grippers": num_grippers, "colliders": len(colliders)}
+        _check_memory(num_worlds, self._sizes, device)
         self._allocate_variants()
         self._allocate_state()
 

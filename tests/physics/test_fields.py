@@ -92,3 +92,14 @@ def test_the_kernel_shares_the_memory_of_every_field_with_a_struct(solver):
     for name, (field, tensor) in solver.fields.items():
         if field.struct is not None:
             assert getattr(structs[field.struct], name.removeprefix("collider_")).ptr == tensor.data_ptr(), name
+
+
+def test_more_worlds_than_fit_into_memory_are_refused_with_what_they_need():
+    with pytest.raises(ValueError, match=r"1000000000 worlds need \d+\.\d GiB for their state alone, cpu has"):
+        Solver(cloth(square_outline(0.2), num_nodes=9), 10**9)
+
+
+def test_the_memory_of_a_field_is_that_of_its_tensor(solver):
+    sizes = {"nodes": 16, "grippers": 2, "colliders": 1}
+    for name, (field, tensor) in solver.fields.items():
+        assert 3 * field.num_bytes(sizes) == tensor.numel() * tensor.element_size(), name
