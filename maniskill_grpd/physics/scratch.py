@@ -28,6 +28,7 @@ class WorldGroups:
         models: Sequence[Model],
         num_worlds: int,
         num_grippers: int,
+        num_colliders: int,
         *,
         has_tethers: bool,
         in_lanes: bool,
@@ -48,6 +49,7 @@ class WorldGroups:
         self.data.counts = wp.from_torch(self._counts, dtype=wp.int32)
         nodes, edges = max(model.num_nodes for model in models), max(len(model.edges) for model in models)
         self._allocate_columns(nodes, edges, num_grippers, nodes if has_tethers else 1)
+        self._allocate_colliders(num_colliders, nodes)
 
     def assign(self, variants: torch.Tensor) -> None:
         """Put worlds into groups of one variant each, without looking at single worlds from Python; `variants` (B,) int32."""
@@ -98,6 +100,13 @@ class WorldGroups:
             setattr(self.data, name, wp.zeros((self.count, width), dtype=wp.bool, device=str(self._device)))
         self.data.tether_lengths = self._numbers(grippers, self.count, tethered)
         self.data.tether_impulses = self._vectors(grippers, self.count, tethered)
+
+    def _allocate_colliders(self, count: int, nodes: int) -> None:
+        self.data.collider_positions = self._vectors(self.count, max(count, 1))
+        self.data.collider_axes = self._vectors(self.count, 3 * max(count, 1))
+        self.data.collider_lows = self._numbers(self.count, 3 * max(count, 1))
+        self.data.collider_highs = self._numbers(self.count, 3 * max(count, 1))
+        self.data.nearness = self._numbers(self.count, nodes if count else 1)
 
     # PyTorch aligns memory with cache lines, and so with vector registers.
     def _numbers(self, *shape: int) -> wp.array:

@@ -128,6 +128,7 @@ class Solver(WorldState):
                 self.models,
                 num_worlds,
                 num_grippers,
+                len(self.colliders),
                 has_tethers=self._features.tethers,
                 in_lanes=self._advances_lanes(),
                 device=self.device,
@@ -338,8 +339,7 @@ class Solver(WorldState):
         for name, (field, tensor) in self.fields.items():
             if field.struct is not None and tensor.numel():
                 setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
-        touches = self._features.colliders or self._features.self_contact
-        touch = allocate_touch(self.num_worlds, self.num_nodes, touches, self.device)
+        touch = allocate_touch(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         timing = Timing()
         timing.num_substeps, timing.dt = self.substeps, self.control_dt / self.substeps

@@ -69,6 +69,7 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     ranges, colors, (nodes,) = _by_color(surface_edges)
     objects.mesh_edge_ranges, objects.mesh_edge_colors = array(ranges, int), array(colors, int)
     objects.mesh_edges = array(nodes, wp.vec2i)
+    objects.longest_edges = array([_longest_edge(model) for model in models], float)
 
     elements = [_elements(model) for model in models]
     objects.element_starts = array(_starts([len(nodes) for nodes in elements]), int)
@@ -102,7 +103,19 @@ def upload_colliders(colliders: Sequence[Collider], device: str) -> tuple[Collid
     data.polygon_sizes = wp.array(sizes, dtype=int, device=device)
     data.polygons = wp.array(polygons, dtype=wp.vec2, device=device)
     data.meshes = wp.array(handles, dtype=wp.uint64, device=device)
+    outlines = [collider.polygon if collider.vertices is None else collider.vertices for collider in colliders]
+    bounds = np.zeros((2, len(colliders), 3), dtype=np.float32)
+    for index, points in enumerate(outlines):
+        if points is not None:
+            bounds[:, index, : points.shape[1]] = points.min(axis=0), points.max(axis=0)
+    data.lows, data.highs = (wp.array(corner, dtype=wp.vec3, device=device) for corner in bounds)
     return data, meshes
+
+
+def _longest_edge(model: Model) -> float:
+    """Return the length of the longest edge that touches colliders [m]."""
+    i, j = model.surface_edges.T
+    return float(np.linalg.norm(model.rest_positions[i] - model.rest_positions[j], axis=1).max())
 
 
 def _starts(counts: Sequence[int]) -> np.ndarray:

@@ -5,9 +5,24 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.kernels.block import synchronize_block
-from maniskill_grpd.physics.kernels.colliders import local_distance, place_collider
-from maniskill_grpd.physics.kernels.data import Colliders, Objects, PlacedCollider, Thread, Touch
-from maniskill_grpd.physics.kernels.lanes import add, choose, div, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators)
+from maniskill_grpd.physics.kernels.colliders import FAR, local_distance, local_high, local_low, place_collider
+from maniskill_grpd.physics.kernels.data import Colliders, Objects, PlacedCollider, Thread, Worlds
+from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
+    add,
+    any_positive,
+    choose,
+    component,
+    div,
+    greater,
+    inner,
+    lesser,
+    mul,
+    pick,
+    put,
+    root,
+    spread,
+    sub,
+)
 
 # Evaluations of the signed distance along one motion; conservative advancement of a sphere needs about five.
 SWEEP_STEPS = wp.constant(12)
@@ -17,6 +32,9 @@ SWEEP_TOLERANCE = wp.constant(0.02)
 SEARCH_STEPS = wp.constant(5)
 # Closest points in this part of an edge at either end are left to its nodes.
 EDGE_END = wp.constant(0.05)
+# Distance, in longest edges, within which a node is near a collider: an edge that touches has an end within half its length, and
+# the rest is for its stretch and for what the contacts before it in the substep did.
+NEAR_EDGE = wp.constant(1.25)
 
 
 @wp.func
@@ -105,53 +123,125 @@ def project_collider(
 
 
 @wp.func
-def project_node(world: int, node: int, radius: float, friction: float, colliders: Colliders, touch: Touch):
-    """Keep a free node out of all active colliders of its world, in their order."""
-    if touch.weights[world, node] > 0.0:
-        position = touch.positions[world, node]
-        for k in range(colliders.kinds.shape[0]):
-            if colliders.active[world, k]:
-                collider = place_collider(world, k, colliders)
-                position = project_collider(collider, position, touch.previous[world, node], radius, friction, colliders.polygons)
-        touch.positions[world, node] = position
+def place_collider_bounds(group: int, colliders: Colliders, groups: Any):
+    """Fetch the pose and the bounding box of every collider, in its own frame, of all worlds of a group."""
+    for k in range(colliders.kinds.shape[0]):
+        for lane in range(groups.members.shape[1]):
+            world = groups.members[group, lane]
+            collider = place_collider(world, k, colliders)
+            put(groups.collider_positions, group, k, lane, collider.position)
+            low = local_low(collider, colliders.lows[k])
+            high = local_high(collider, colliders.highs[k])
+            for axis in range(3):
+                unit = wp.vec3(0.0, 0.0, 0.0)
+                unit[axis] = 1.0
+                put(groups.collider_axes, group, 3 * k + axis, lane, wp.quat_rotate(collider.rotation, unit))
+                put(groups.collider_lows, group, 3 * k + axis, lane, wp.where(colliders.active[world, k], low[axis], FAR))
+                put(groups.collider_highs, group, 3 * k + axis, lane, high[axis])
 
 
 @wp.func
-def project_edge(world: int, edge: wp.vec2i, radius: float, friction: float, colliders: Colliders, touch: Touch):
+def bound_distance(group: int, k: int, position: Any, groups: Any):
+    """Return a distance that is at most that of a point from a collider: the largest along an axis of its bounding box."""
+    offset = position - groups.collider_positions[group, k]
+    distance = spread(groups.weights[group, 0], -FAR)
+    for axis in range(3 * k, 3 * k + 3):
+        along = inner(offset, groups.collider_axes[group, axis])
+        beyond = greater(along - groups.collider_highs[group, axis], groups.collider_lows[group, axis] - along)
+        distance = greater(distance, beyond)
+    return distance
+
+
+@wp.func
+def find_near_node(group: int, node: int, reach: float, num_colliders: int, groups: Any):
+    """Compute in which worlds a node may touch a collider in this substep, or an edge at it may: where `nearness` is > 0."""
+    moved = groups.positions[group, node] - groups.previous[group, node]
+    far = root(inner(moved, moved)) + spread(groups.weights[group, node], reach)
+    nearness = spread(far, -1.0)
+    for k in range(num_colliders):
+        nearness = greater(nearness, far - bound_distance(group, k, groups.previous[group, node], groups))
+    groups.nearness[group, node] = nearness
+
+
+@wp.func
+def project_node(world: int, lane: int, group: int, node: int, radius: float, colliders: Colliders, friction: float, groups: Any):
+    """Keep a free node out of all active colliders of its world, in their order."""
+    if pick(groups.weights, group, node, lane) > 0.0:
+        position = pick(groups.positions, group, node, lane)
+        previous = pick(groups.previous, group, node, lane)
+        for k in range(colliders.kinds.shape[0]):
+            if colliders.active[world, k]:
+                collider = place_collider(world, k, colliders)
+                position = project_collider(collider, position, previous, radius, friction, colliders.polygons)
+        put(groups.positions, group, node, lane, position)
+
+
+@wp.func
+def project_edge(
+    world: int, lane: int, group: int, edge: wp.vec2i, radius: float, colliders: Colliders, friction: float, groups: Any
+):
     """Keep the point x = (1 - t) x_i + t x_j of an edge that is closest to a collider out of it.
 
     A correction d of the point moves its nodes by w_i (1 - t) d / s and w_j t d / s with s = w_i (1 - t)^2 + w_j t^2.
     """
     i = edge[0]
     j = edge[1]
-    w_i = touch.weights[world, i]
-    w_j = touch.weights[world, j]
+    w_i = pick(groups.weights, group, i, lane)
+    w_j = pick(groups.weights, group, j, lane)
     if w_i + w_j > 0.0:
         for k in range(colliders.kinds.shape[0]):
             if colliders.active[world, k]:
-                x_i = touch.positions[world, i]
-                x_j = touch.positions[world, j]
+                x_i = pick(groups.positions, group, i, lane)
+                x_j = pick(groups.positions, group, j, lane)
                 collider = place_collider(world, k, colliders)
                 t = closest_on_edge(collider, x_i, x_j, radius, colliders.polygons)
                 if t > 0.0:
                     point = x_i * (1.0 - t) + x_j * t
-                    start = touch.previous[world, i] * (1.0 - t) + touch.previous[world, j] * t
+                    start = pick(groups.previous, group, i, lane) * (1.0 - t) + pick(groups.previous, group, j, lane) * t
                     moved = project_collider(collider, point, start, radius, friction, colliders.polygons)
                     share = w_i * (1.0 - t) * (1.0 - t) + w_j * t * t
                     if share > 0.0:
-                        touch.positions[world, i] = x_i + (moved - point) * (w_i * (1.0 - t) / share)
-                        touch.positions[world, j] = x_j + (moved - point) * (w_j * t / share)
+                        put(groups.positions, group, i, lane, x_i + (moved - point) * (w_i * (1.0 - t) / share))
+                        put(groups.positions, group, j, lane, x_j + (moved - point) * (w_j * t / share))
 
 
 @wp.func
-def project_colliders(thread: Thread, world: int, friction: float, objects: Objects, colliders: Colliders, touch: Touch):
-    """Keep edges, then nodes out of all colliders."""
+def project_near_edge(thread: Thread, edge: wp.vec2i, radius: float, colliders: Colliders, worlds: Worlds, groups: Any):
+    """Keep an edge out of the colliders in those worlds where it is near any."""
+    group = thread.group
+    nearness = greater(groups.nearness[group, edge[0]], groups.nearness[group, edge[1]])
+    if any_positive(nearness):
+        for lane in range(groups.counts[group]):
+            if component(nearness, lane) > 0.0:
+                world = groups.members[group, lane]
+                project_edge(world, lane, group, edge, radius, colliders, worlds.friction[world], groups)
+
+
+@wp.func
+def project_near_node(thread: Thread, node: int, radius: float, colliders: Colliders, worlds: Worlds, groups: Any):
+    """Keep a node out of the colliders in those worlds where it is near any."""
+    group = thread.group
+    nearness = groups.nearness[group, node]
+    if any_positive(nearness):
+        for lane in range(groups.counts[group]):
+            if component(nearness, lane) > 0.0:
+                world = groups.members[group, lane]
+                project_node(world, lane, group, node, radius, colliders, worlds.friction[world], groups)
+
+
+@wp.func
+def project_colliders(thread: Thread, objects: Objects, colliders: Colliders, worlds: Worlds, groups: Any):
+    """Keep edges, then nodes out of all colliders. What is far from them is passed over in lanes."""
     variant = thread.variant
     radius = objects.radii[variant]
+    reach = radius + NEAR_EDGE * objects.longest_edges[variant]
+    for node in range(thread.first, objects.node_counts[variant], thread.stride):
+        find_near_node(thread.group, node, reach, colliders.kinds.shape[0], groups)
+    synchronize_block()
     for color in range(objects.mesh_edge_ranges[variant], objects.mesh_edge_ranges[variant + 1] - 1):
         for c in range(objects.mesh_edge_colors[color] + thread.first, objects.mesh_edge_colors[color + 1], thread.stride):
-            project_edge(world, objects.mesh_edges[c], radius, friction, colliders, touch)
+            project_near_edge(thread, objects.mesh_edges[c], radius, colliders, worlds, groups)
         synchronize_block()
     for node in range(thread.first, objects.node_counts[variant], thread.stride):
-        project_node(world, node, radius, friction, colliders, touch)
+        project_near_node(thread, node, radius, colliders, worlds, groups)
     synchronize_block()

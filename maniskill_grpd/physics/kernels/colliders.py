@@ -14,6 +14,8 @@ PRISM = wp.constant(int(ColliderKind.PRISM))
 MESH = wp.constant(int(ColliderKind.MESH))
 # Points further away than this from a mesh [m] do not feel it.
 MESH_REACH = wp.constant(0.5)
+# Where the bounding box of a half-space ends, and where that of a collider begins that is switched off [m].
+FAR = wp.constant(1.0e9)
 
 
 @wp.func
@@ -149,6 +151,37 @@ def local_distance(collider: PlacedCollider, p: wp.vec3, polygons: wp.array2d(dt
         return extrude(wp.vec3(section[0], section[1], section[2] * size[0]), p[2], size[1])
     at = triangles(p / size[0], collider.mesh)
     return wp.vec4(at[0], at[1], at[2], at[3] * size[0])
+
+
+@wp.func
+def local_high(collider: PlacedCollider, high: wp.vec3) -> wp.vec3:
+    """Return the upper corner of a collider's bounding box in its own frame; `high` is that of a polygon or mesh at scale 1."""
+    size = collider.size
+    if collider.kind == PLANE:
+        return wp.vec3(FAR, FAR, 0.0)
+    if collider.kind == SPHERE:
+        return wp.vec3(size[0], size[0], size[0])
+    if collider.kind == CAPSULE:
+        return wp.vec3(size[0], size[0], size[0] + size[1])
+    if collider.kind == BOX:
+        return size
+    if collider.kind == CYLINDER:
+        return wp.vec3(size[0], size[0], size[1])
+    if collider.kind == PRISM:
+        return wp.vec3(high[0] * size[0], high[1] * size[0], size[1])
+    return high * size[0]
+
+
+@wp.func
+def local_low(collider: PlacedCollider, low: wp.vec3) -> wp.vec3:
+    """Return the lower corner of a collider's bounding box in its own frame; `low` is that of a polygon or mesh at scale 1."""
+    if collider.kind == PLANE:
+        return wp.vec3(-FAR, -FAR, -FAR)
+    if collider.kind == PRISM:
+        return wp.vec3(low[0] * collider.size[0], low[1] * collider.size[0], -collider.size[1])
+    if collider.kind == MESH:
+        return low * collider.size[0]
+    return -local_high(collider, low)
 
 
 @wp.func

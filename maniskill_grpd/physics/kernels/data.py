@@ -81,6 +81,7 @@ class Objects:
     hinge_compliances: wp.array(dtype=float)
     geodesics: wp.array3d(dtype=float)  # through the material between all nodes, by variant
     # Edges that touch colliders with all their length.
+    longest_edges: wp.array(dtype=float)
     mesh_edge_ranges: wp.array(dtype=int)
     mesh_edge_colors: wp.array(dtype=int)
     mesh_edges: wp.array(dtype=wp.vec2i)
@@ -102,11 +103,13 @@ Colliders = wp.struct(
     _record(
         "Colliders",
         fields_of_struct("colliders"),
-        "The K colliders: their shapes, and their pose, size and switch in every world.",
+        "The K colliders: their shapes with bounds (of polygons and meshes), and their pose, size and switch in every world.",
         kinds=wp.array(dtype=int),
         polygon_sizes=wp.array(dtype=int),
         polygons=wp.array2d(dtype=wp.vec2),
         meshes=wp.array(dtype=wp.uint64),
+        lows=wp.array(dtype=wp.vec3),
+        highs=wp.array(dtype=wp.vec3),
     )
 )
 
@@ -192,6 +195,12 @@ def _groups(number: type, vector: type) -> type:
         tether_impulses: wp.array3d(dtype=vector)
         directions: wp.array2d(dtype=vector)
         straightened: wp.array2d(dtype=vector)
+        # Colliders: position, axes (three each) and the bounding box along these; > 0 where a node is near one of them.
+        collider_positions: wp.array2d(dtype=vector)
+        collider_axes: wp.array2d(dtype=vector)
+        collider_lows: wp.array2d(dtype=number)
+        collider_highs: wp.array2d(dtype=number)
+        nearness: wp.array2d(dtype=number)
         upper: wp.array2d(dtype=number)
         multipliers: wp.array2d(dtype=number)
 

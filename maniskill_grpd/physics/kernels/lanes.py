@@ -286,6 +286,18 @@ def spread(a: wp.vec3, b: float):  # noqa: F811
     return wp.vec3(b, b, b)
 
 
+@wp.func
+def component(a: Numbers, lane: int):
+    """Return what one lane holds."""
+    return a[lane]
+
+
+@wp.func
+def component(a: float, lane: int):  # noqa: F811
+    """Return what one lane holds."""
+    return a
+
+
 @wp.func_native("const float* lanes = (const float*)wp::address(array, group, column); return lanes[lane];")
 def _pick_number(array: wp.array2d(dtype=Numbers), group: int, column: int, lane: int) -> float: ...
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from maniskill_grpd.physics.kernels.bending import project_bends, project_hinges
 from maniskill_grpd.physics.kernels.block import synchronize_block
-from maniskill_grpd.physics.kernels.collider_contacts import project_colliders
+from maniskill_grpd.physics.kernels.collider_contacts import place_collider_bounds, project_colliders
 from maniskill_grpd.physics.kernels.contact_phases import (
     add_reactions,
     find_self_contacts,
@@ -62,12 +62,14 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                     stop_grippers(world, objects.radii[thread.variant], colliders, worlds)
         if thread.first == 0:
             load_constants(thread.group, timing.dt, worlds, groups)
+            if wp.static(features.colliders):
+                place_collider_bounds(thread.group, colliders, groups)
         synchronize_block()
         for node in range(thread.first, objects.node_counts[thread.variant], thread.stride):
             load_node(thread.group, node, worlds, groups)
             if wp.static(features.tethers):
                 load_tethers(thread, node, objects, worlds, groups)
-            if wp.static(features.colliders or features.self_contact):
+            if wp.static(features.self_contact):
                 prepare_touch(thread.group, node, groups, touch)
         synchronize_block()
 
@@ -98,17 +100,16 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         touch: Touch,
         contacts: SelfContacts,
     ):
-        """Take the worlds out of their lanes to resolve contact with themselves and with colliders."""
-        take_out_of_lanes(thread, objects.node_counts[thread.variant], groups, touch)
-        for lane in range(groups.counts[thread.group]):
-            world = groups.members[thread.group, lane]
-            friction = worlds.friction[world]
-            if not worlds.frozen[world]:
-                if wp.static(features.self_contact):
-                    project_self_contacts(thread, world, friction, objects, touch, contacts)
-                if wp.static(features.colliders):
-                    project_colliders(thread, world, friction, objects, colliders, touch)
-        put_into_lanes(thread, objects.node_counts[thread.variant], groups, touch)
+        """Resolve contact of all worlds with themselves, for which they are taken out of their lanes, and with colliders."""
+        if wp.static(features.self_contact):
+            take_out_of_lanes(thread, objects.node_counts[thread.variant], groups, touch)
+            for lane in range(groups.counts[thread.group]):
+                world = groups.members[thread.group, lane]
+                if not worlds.frozen[world]:
+                    project_self_contacts(thread, world, worlds.friction[world], objects, touch, contacts)
+            put_into_lanes(thread, objects.node_counts[thread.variant], groups, touch)
+        if wp.static(features.colliders):
+            project_colliders(thread, objects, colliders, worlds, groups)
 
     @wp.func
     def store_group(thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: group_type, touch: Touch):
