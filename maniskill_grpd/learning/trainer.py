@@ -22,6 +22,7 @@ from maniskill_grpd.learning.normalizer_update import update_normalizer
 from maniskill_grpd.learning.observation_noise import ObservationNoise
 from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 from maniskill_grpd.learning.rollout import Rollout
+from maniskill_grpd.learning.rollout_metrics import rollout_metrics
 from maniskill_grpd.learning.run_log import RunLog
 from maniskill_grpd.learning.training_state import TrainingState
 from maniskill_grpd.learning.update import Learner
@@ -325,34 +326,6 @@ def episode_seeds(config: TrainConfig, iteration: int) -> list[int]:
     """
     state = np.random.SeedSequence([config.seed, iteration]).generate_state(config.num_envs)
     return (FIRST_TRAINING_SEED + state % FIRST_TRAINING_SEED).tolist()
-
-
-def rollout_metrics(rollout: Rollout, workers: Workers | None = None) -> dict[str, float]:
-    """Return tags that describe a rollout: explained variance, size of the actions, mean value."""
-    errors = rollout.returns - rollout.values
-    variance = rollout.returns.var()
-    # Returns without variance cannot be explained; zero keeps the plot free of gaps.
-    explained = 1.0 - errors.var() / variance if variance > 0 else variance
-    metrics = {
-        "losses/explained_variance": explained,
-        "charts/action_norm": _action_norm(rollout),
-        "charts/value": rollout.values.mean(),
-    }
-    if rollout.distribution.gripper_logits is not None:
-        metrics["charts/grip_closed"] = _grippers(rollout)[..., 3].mean()
-    metrics = (workers or Workers()).average_metrics(metrics)
-    return {name: value.item() for name, value in metrics.items()}
-
-
-def _action_norm(rollout: Rollout) -> torch.Tensor:
-    """Return the mean norm of an actuator's displacement before it is limited, dimensionless."""
-    return _grippers(rollout)[..., :3].norm(dim=-1).mean()
-
-
-def _grippers(rollout: Rollout) -> torch.Tensor:
-    """Return the actions of the actuators that exist, (K, 3) or (K, 4)."""
-    mask = rollout.distribution.mask
-    return rollout.actions.unflatten(-1, (mask.shape[-1], -1))[mask]
 
 
 def _progress_text(metrics: dict[str, float], progress: str) -> str:
