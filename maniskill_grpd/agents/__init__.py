@@ -6,7 +6,9 @@ from maniskill_grpd.agents.delta_position_controller import (
     DeltaPositionGripController,
     DeltaPositionGripControllerConfig,
 )
+from maniskill_grpd.agents.effectors import Effectors
 from maniskill_grpd.agents.floating_grippers import FloatingGrippers
+from maniskill_grpd.agents.gripper_agent import GripperAgent
 from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
 
 __all__ = [
@@ -14,6 +16,8 @@ __all__ = [
     "DeltaPositionControllerConfig",
     "DeltaPositionGripController",
     "DeltaPositionGripControllerConfig",
+    "Effectors",
     "FloatingGrippers",
+    "GripperAgent",
     "KinematicArticulation",
 ]

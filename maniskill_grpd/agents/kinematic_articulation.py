@@ -16,8 +16,8 @@ AXES = "xyz"
 class KinematicArticulation:
     """Grippers as one articulation of 3 * A prismatic joints that reach their drive targets.
 
-    It offers the part of `mani_skill.utils.structs.Articulation` that agents, controllers and the
-    state of a scene use. Positions and targets are views of the tensors it is given (those of the
+    It implements `Effectors`, and offers the part of `mani_skill.utils.structs.Articulation` that
+    agents, controllers and the state of a scene use. Positions and targets are views of the tensors it is given (those of the
     deformable solver), so there is one truth and nothing to keep in step.
 
     Attributes:
@@ -73,6 +73,15 @@ class KinematicArticulation:
         """Derive `qvel` from the displacement since `start_motion`, `duration` [s] ago."""
         torch.sub(self.qpos, self._start_of_motion, out=self.qvel)
         self.qvel.div_(duration)
+
+    @property
+    def velocities(self) -> torch.Tensor:
+        """`qvel` by gripper, (B, A, 3) [m/s]."""
+        return self.qvel.unflatten(1, (-1, 3))
+
+    def move(self, rotation: torch.Tensor, translation: torch.Tensor) -> None:
+        """Turn the velocities with their worlds; the solver moves the grippers themselves."""
+        self.qvel.copy_((self.velocities @ rotation.mT).flatten(1))
 
     def place(self, worlds: torch.Tensor) -> None:
         """Bring the grippers of some worlds (b,) to rest where they are."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from maniskill_grpd.agents import FloatingGrippers
+from maniskill_grpd.agents import GripperAgent
 from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.tasks.measurement import Measurement
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
@@ -20,7 +20,7 @@ class ObservedWorlds(MeasuredWorlds):
     """What `obs["graph"]` holds."""
     start_nodes: torch.Tensor
     """Node that each gripper held at the start of the episode, (B, A) int64."""
-    _agents: list[FloatingGrippers]
+    _agents: list[GripperAgent]
     _graph: GraphObservation
     _has_graph: bool
     _full_obs_mode: str
@@ -56,7 +56,7 @@ class ObservedWorlds(MeasuredWorlds):
 
     def _get_obs_graph(self) -> dict[str, Any]:
         """Return the graph that `graph_schema` describes."""
-        velocities = torch.cat([agent.robot.qvel for agent in self._agents], dim=1).unflatten(1, (-1, 3))
+        velocities = torch.cat([agent.robot.velocities for agent in self._agents], dim=1)
         measured = self.measurement
         return self._graph.build(self.start_nodes, velocities, self.object_values(measured), self.gripper_values(measured))
 

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from mani_skill.agents.multi_agent import MultiAgent
 
-from maniskill_grpd.agents import FloatingGrippers
+from maniskill_grpd.agents import GripperAgent
 from maniskill_grpd.physics import Solver
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors
@@ -23,7 +23,7 @@ class RestorableWorlds(MeasuredWorlds):
     ManiSkill's own methods forget custom groups of a flat state and the targets of controllers.
     """
 
-    agent: FloatingGrippers | MultiAgent
+    agent: GripperAgent | MultiAgent
     scene: BatchedScene
     solver: Solver
     """State of all worlds."""
@@ -32,7 +32,7 @@ class RestorableWorlds(MeasuredWorlds):
     _episode: EpisodeTensors
 
     @property
-    def _agents(self) -> list[FloatingGrippers]:
+    def _agents(self) -> list[GripperAgent]:
         """The agents, in the order of their grippers."""
         return list(self.agent.agents) if isinstance(self.agent, MultiAgent) else [self.agent]
 
@@ -122,6 +122,5 @@ class RestorableWorlds(MeasuredWorlds):
         move_solver(self.solver, rotation, translation)
         self._episode.move(rotation, translation)
         for agent in self._agents:
-            velocities = agent.robot.qvel.unflatten(1, (-1, 3))
-            agent.robot.qvel.copy_((velocities @ rotation.mT).flatten(1))
+            agent.robot.move(rotation, translation)
         self.forget_measurement()
