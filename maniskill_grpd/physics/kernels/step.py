@@ -35,7 +35,8 @@ from maniskill_grpd.physics.kernels.data import (
 )
 from maniskill_grpd.physics.kernels.grippers import limit_gripper_targets, stop_grippers
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
-from maniskill_grpd.physics.kernels.stretch import project_rope_line, project_sheet_line
+from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
+from maniskill_grpd.physics.kernels.stretch import project_sheet_line
 from maniskill_grpd.physics.kernels.tethers import load_tethers, project_tethers, sum_tethers
 
 
