@@ -174,7 +174,7 @@ MUTANTS = (
         "maniskill_grpd/runs/noisy_observer.py",
         "velocity_std=sigma",
         "velocity_std=0.0",
-        "tests/experiments/test_noisy_observer.py",
+        "tests/runs/test_noisy_observer.py",
     ),
 )
 

@@ -3,7 +3,8 @@
 maniskill-grpd train --env_id RopeShaping-v1 --policy grpd --algorithm bpp --num_envs 64 --total_timesteps 1_000_000 --seed 1
 
 Everything goes to runs/{exp_name}/: config.json, metrics.jsonl, TensorBoard events, last.pt, best_ckpt.pt, final_ckpt.pt,
-learning_curve.png and a video. A run that was stopped goes on with --resume runs/{exp_name}.
+learning_curve.png and a video. Ctrl-C, SIGTERM and SIGHUP end a run after the iteration, with a checkpoint. A run that was
+stopped goes on with --resume runs/{exp_name}.
 
 With --allow_import a resumed run may name its task as module:id, which runs the code of that module.
 
@@ -15,48 +16,44 @@ torchrun --nproc_per_node=2 -m maniskill_grpd train --env_id RopeShaping-v1 --ex
 from __future__ import annotations
 
 import argparse
-import dataclasses
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from maniskill_grpd.commands.run_command import parse_options, report_errors
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.allocator import keep_freed_memory
+from maniskill_grpd.learning.stopping import TrainingStoppedError
 from maniskill_grpd.learning.workers import leave_workers
-from maniskill_grpd.runs.record import read_run_config
+from maniskill_grpd.program import command_line
+from maniskill_grpd.runs.resumption import resumed_options
+from maniskill_grpd.runs.stop_request import stop_request
 from maniskill_grpd.runs.training import train
 
 ALLOW_IMPORT = "--allow_import"
 """No option of a training, and so none of its record: whether a resumed run may name its task as module:id."""
 
 
-def train_and_report(config: TrainConfig) -> None:
+def train_and_report(config: TrainConfig) -> int:
     """Train, and say what can be done with the result."""
-    run_dir = train(config)
-    print(f"done: maniskill-grpd evaluate --checkpoint {run_dir / 'final_ckpt.pt'}")
-
-
-def default_options(arguments: Sequence[str]) -> TrainConfig:
-    """Return the options that stand where the command line is silent: with --resume those of that run."""
-    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    finder.add_argument("--resume", type=Path)
-    resumed = finder.parse_known_args(arguments)[0].resume
-    if resumed is None:
-        return TrainConfig()
-    config = read_run_config(resumed, allow_import=ALLOW_IMPORT in arguments)
-    # The weights that the run began with are those of its own checkpoint by now.
-    checkpoint = None if (resumed / "last.pt").exists() else config.checkpoint
-    return dataclasses.replace(config, resume=None, checkpoint=checkpoint)
+    with stop_request() as request:
+        try:
+            run_dir = train(config, request)
+        except TrainingStoppedError as stopped:
+            goes_on = f"; go on: {command_line(['train', '--resume', str(stopped.run_dir)])}" if stopped.is_saved else ""
+            print(f"{stopped}{goes_on}", file=sys.stderr)
+            return request.exit_code
+    print(f"done: {command_line(['evaluate', '--checkpoint', str(run_dir / 'final_ckpt.pt')])}")
+    return 0
 
 
 def parse_train_options(arguments: Sequence[str]) -> TrainConfig:
-    """Parse the words after `train`, as a sweep does before it starts any of them.
-
-    Raises:
-        UsageError: If they cannot be read.
-    """
-    words = [word for word in arguments if word != ALLOW_IMPORT]
-    return parse_options(__name__, TrainConfig, words, default_options(arguments))
+    """Parse the words after `train`; where they are silent, the options of a resumed run or the defaults stand."""
+    finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    finder.add_argument("--resume", type=Path)
+    resumed = finder.parse_known_args(arguments)[0].resume
+    default = TrainConfig() if resumed is None else resumed_options(resumed, allow_import=ALLOW_IMPORT in arguments)
+    return parse_options(__name__, TrainConfig, [word for word in arguments if word != ALLOW_IMPORT], default)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
-import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,12 +15,13 @@ from typing import Literal
 from maniskill_grpd.experiments.records import TEST_FOLDER, is_played
 from maniskill_grpd.experiments.training import Training
 from maniskill_grpd.program import command_line, process_arguments
+from maniskill_grpd.runs.stop_request import SIGNALS
 
 LOCK_FOLDER = ".locks"
 """Folder of the locks, beside the folders of jobs."""
 LOCK_POLL_SECONDS = 0.2
 """How often a job looks whether the process that works in its folder is done."""
-INTERRUPTED = {130, 143, -signal.SIGINT, -signal.SIGTERM}
+INTERRUPTED = {code for number in SIGNALS for code in (128 + number, -number)}
 """Return codes of a command that was asked to stop, which is no failure."""
 
 State = Literal["waiting", "training", "testing", "finished", "failed"]
@@ -149,7 +149,7 @@ def run_job(job: Job, start: Start = subprocess.Popen, is_stopping: Callable[[],
     Args:
         job: The job.
         start: Starts a process, as `subprocess.Popen` does.
-        is_stopping: Whether to give up waiting for the other process.
+        is_stopping: Whether all jobs are asked to stop: another process is not waited for then, and no code is a failure.
     """
     with hold_lock(job, is_stopping) as lock:
         if lock is None:
@@ -157,23 +157,24 @@ def run_job(job: Job, start: Start = subprocess.Popen, is_stopping: Callable[[],
         for command in job.commands:
             if not command.is_done():
                 command.prepare()
-                if not _run_command(job, command.words, command.num_processes, start, lock):
+                code = _run_command(job, command.words, command.num_processes, start, lock)
+                # PyTorch's launcher has one code for all that ends its processes, a stop included.
+                if code != 0 and code not in INTERRUPTED and not is_stopping():
+                    failure = {"command": command.words[0], "code": code, "log": str(job.log)}
+                    job.failure.write_text(json.dumps(failure) + "\n", encoding="utf-8")
+                if code != 0:
                     return
 
 
-def _run_command(job: Job, words: Sequence[str], num_processes: int, start: Start, lock: int) -> bool:
-    """Run a command, add what it prints to the log, and return whether it went well."""
+def _run_command(job: Job, words: Sequence[str], num_processes: int, start: Start, lock: int) -> int:
+    """Run a command, add what it prints to the log, and return its exit code."""
     job.folder.mkdir(parents=True, exist_ok=True)
     with job.log.open("ab") as log:
         log.write(f"\n$ {command_line(words)}\n".encode())
         log.flush()
         arguments = process_arguments(words, num_processes)
         # With the lock in its hands a command that outlives this process still keeps others away.
-        code = start(arguments, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, pass_fds=(lock,)).wait()
-    if code != 0 and code not in INTERRUPTED:
-        failure = {"command": words[0], "code": code, "log": str(job.log)}
-        job.failure.write_text(json.dumps(failure) + "\n", encoding="utf-8")
-    return code == 0
+        return start(arguments, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, pass_fds=(lock,)).wait()
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from maniskill_grpd.experiments.estimate import format_seconds, seconds_left
 from maniskill_grpd.experiments.job import Job
 from maniskill_grpd.experiments.launchers import LauncherConfig
 from maniskill_grpd.experiments.progress import ProgressTable, job_line
+from maniskill_grpd.runs.stop_request import SIGNALS
 
 POLL_SECONDS = 0.5
 
@@ -38,13 +39,14 @@ def run_jobs(jobs: Sequence[Job], config: LauncherConfig, folder: Path) -> list[
     pending = [job for job in jobs if job.state != "finished"]
     for job in pending:
         job.failure.unlink(missing_ok=True)
-    with _termination_as_interrupt():
+    with _signals_as_interrupt():
         launcher.launch(pending)
         try:
             while not launcher.is_done():
                 table.show(launcher.running())
                 time.sleep(POLL_SECONDS)
         except BaseException:
+            print("stopping: trainings end with their iteration, and leave a checkpoint", file=sys.stderr)
             launcher.stop()
             raise
     table.show([], now=True)
@@ -66,13 +68,17 @@ def list_jobs(jobs: Sequence[Job], config: LauncherConfig) -> None:
 
 
 @contextlib.contextmanager
-def _termination_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM stop the jobs as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, _interrupt)
+def _signals_as_interrupt() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP stop the jobs as Ctrl-C does."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number in SIGNALS:
+        if before[number] != signal.SIG_IGN:
+            signal.signal(number, _interrupt)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number in SIGNALS:
+            signal.signal(number, before[number])
 
 
 def _interrupt(*_: Any) -> None:

@@ -6,6 +6,8 @@ import io
 import os
 import pickle
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,16 @@ _KEYS = {
     "best_score": "[best_metric, return] of best_ckpt.pt, None before the first evaluation",
 }
 
+
+_TYPES: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("policy", "weights", "optimizer", "algorithm", "value_scale", "generators", "train_config"), dict),
+    "iteration": int,
+    "global_step": int,
+    "best_score": (list, type(None)),
+}
+
+_MISFITS = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+"""What is raised where an entry of a checkpoint is not what its reader expects."""
 
 _UNREADABLE = (RuntimeError, OSError, EOFError, ValueError, pickle.UnpicklingError, zipfile.BadZipFile)
 """What torch.load raises for files that are cut short or are something else."""
@@ -73,7 +85,7 @@ def load_checkpoint(path: str | os.PathLike[str], device: str | torch.device = "
 
     Raises:
         FileNotFoundError: If there is no such file.
-        CheckpointError: If the file is truncated, of another program or of another version.
+        CheckpointError: If the file is truncated, of another program or of another version, or an entry is of another type.
     """
     path = Path(path)
     if not path.is_file():
@@ -95,7 +107,26 @@ def load_checkpoint(path: str | os.PathLike[str], device: str | torch.device = "
     missing = sorted(set(_KEYS) - set(contents))
     if missing:
         raise CheckpointError(f"{path} lacks {', '.join(missing)}")
+    for key, expected in _TYPES.items():
+        if not isinstance(contents[key], expected) or (expected is int and contents[key] < 0):
+            raise CheckpointError(f"{path}: its entry {key!r} is damaged: {_shorten(repr(contents[key]))} is not {_KEYS[key]}")
     return {key: contents[key] for key in _KEYS}
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str], entry: str) -> Iterator[None]:
+    """Name file and entry where an entry of a checkpoint is not what its reader expects.
+
+    Raises:
+        CheckpointError: In place of the reader's own error.
+    """
+    try:
+        yield
+    except CheckpointError:
+        raise
+    except _MISFITS as error:
+        reason = _shorten(" ".join(f"{type(error).__name__}: {error}".split()))
+        raise CheckpointError(f"{path}: its entry {entry!r} is damaged: {reason}") from error
 
 
 def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:
@@ -106,15 +137,42 @@ def restore_policy(policy: torch.nn.Module, contents: dict[str, Any]) -> None:
         contents: A loaded checkpoint.
 
     Raises:
-        CheckpointError: If the checkpoint is of a policy with other options or another schema.
+        CheckpointError: If the checkpoint is of a policy with other options or another schema, or its weights are of another one.
     """
     differences = describe_differences(contents["policy"], policy.config)
     if differences:
         raise CheckpointError("the checkpoint does not fit this policy: " + "; ".join(differences[:8]))
-    try:
-        policy.load_state_dict(contents["weights"])
-    except RuntimeError as error:
-        raise CheckpointError(f"the checkpoint does not fit this policy: {error}") from error
+    load_weights(policy, contents["weights"])
+
+
+def load_weights(policy: torch.nn.Module, weights: dict[str, Any]) -> None:
+    """Load weights, all or none.
+
+    Raises:
+        CheckpointError: If one is missing, unknown, of another shape, no tensor or not finite.
+    """
+    own = policy.state_dict()
+    faults = [f"{name} is missing" for name in own.keys() - weights.keys()]
+    faults += [f"{name!r} is unknown" for name in weights.keys() - own.keys()]
+    for name in own.keys() & weights.keys():
+        faults += [f"{name} {fault}" for fault in _weight_faults(weights[name], own[name])]
+    if faults:
+        raise CheckpointError("the weights of the checkpoint do not fit this policy: " + "; ".join(sorted(faults)[:4]))
+    policy.load_state_dict(weights)
+
+
+def _weight_faults(given: Any, own: torch.Tensor) -> list[str]:
+    if not isinstance(given, torch.Tensor):
+        return [f"is no tensor but {_shorten(repr(given))}"]
+    if given.shape != own.shape:
+        return [f"has the shape {tuple(given.shape)}, here it is {tuple(own.shape)}"]
+    if given.is_floating_point() != own.is_floating_point():
+        return [f"is of type {given.dtype}, here it is {own.dtype}"]
+    return [] if torch.isfinite(given).all() else ["is not finite"]
+
+
+def _shorten(text: str, length: int = 160) -> str:
+    return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
 def describe_differences(stored: Any, given: Any, name: str = "") -> list[str]:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
+import sys
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
 from maniskill_grpd.learning.config import TrainConfig
+
+ROW_KEYS = {"kind", "iteration", "global_step"}
+"""What every row of metrics.jsonl has, beside its metrics."""
 
 
 class RunLog:
@@ -65,24 +68,54 @@ def read_rows(path: Path, kind: str | None = None) -> list[dict[str, Any]]:
     Args:
         path: The file; a missing one has no rows.
         kind: Only rows of this kind.
+
+    Raises:
+        DamagedLogError: Naming file and line, if one is no row.
     """
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines()
-    rows = [json.loads(line) for line in lines[:-1]]
-    if lines:
-        with suppress(json.JSONDecodeError):
-            rows.append(json.loads(lines[-1]))
+    rows, damaged = _parse_rows(path)
+    if damaged:
+        raise DamagedLogError(f"{path}, line {damaged[0]}: damaged, no row of metrics; move the file away")
     return [row for row in rows if kind is None or row["kind"] == kind]
 
 
+class DamagedLogError(ValueError):
+    """A line of metrics.jsonl is no row."""
+
+
 def truncate_rows(path: Path, iteration: int) -> int:
-    """Drop the rows of iterations after `iteration` and return the last step that is kept."""
-    kept = [row for row in read_rows(path) if row["iteration"] <= iteration] if iteration else []
+    """Drop the rows of iterations after `iteration` and return the last step that is kept.
+
+    A run goes on from its checkpoint whatever happened to its log: a damaged one is kept aside, and said to be.
+    """
+    rows, damaged = _parse_rows(path) if iteration and path.exists() else ([], [])
+    if damaged:
+        aside = path.with_name(f"damaged_{path.name}")
+        path.replace(aside)
+        print(f"{path}, line {damaged[0]}: damaged; {len(damaged)} line(s) left out, the old file is {aside}", file=sys.stderr)
+    kept = [row for row in rows if row["iteration"] <= iteration]
     temporary = path.with_name(f".{path.name}.tmp")
     temporary.write_text("".join(json.dumps(row) + "\n" for row in kept), encoding="utf-8")
     temporary.replace(path)
     return kept[-1]["global_step"] if kept else 0
+
+
+def _parse_rows(path: Path) -> tuple[list[dict[str, Any]], list[int]]:
+    """Return the rows of a log, and the numbers of the lines that are none, without a last one that was cut short."""
+    rows, damaged = [], []
+    # Bytes that are no text end up in a line that is no JSON, or in a value that is no number.
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line)
+        except json.JSONDecodeError:
+            row = None
+        if isinstance(row, dict) and row.keys() >= ROW_KEYS:
+            rows.append(row)
+        elif row is not None or number < len(lines):
+            damaged.append(number)
+    return rows, damaged
 
 
 def _start_wandb(run_dir: Path, config: TrainConfig) -> Any:

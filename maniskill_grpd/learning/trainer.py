@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
 from maniskill_grpd.learning.rollout import Rollout
 from maniskill_grpd.learning.rollout_metrics import rollout_metrics
 from maniskill_grpd.learning.run_log import RunLog
+from maniskill_grpd.learning.stopping import TrainingStoppedError, never
 from maniskill_grpd.learning.training_state import TrainingState
 from maniskill_grpd.learning.update import Learner
 from maniskill_grpd.learning.workers import Workers
@@ -45,7 +46,9 @@ class Trainer:
     interrupted. The state of the simulation is not stored for that: after every checkpoint, in interrupted
     and uninterrupted runs alike, all environments are reset with seeds that follow from (seed,
     iteration). With rollouts of whole episodes nothing is lost by it; otherwise episodes are cut
-    there, and the value of their last observation stands for the rest.
+    there, and the value of their last observation stands for the rest. A run that is asked to stop saves
+    `last.pt` at the end of the iteration as well, where an uninterrupted one would not have reset its
+    environments unless a checkpoint was due: such a run goes on from other poses.
 
     The normaliser of the policy is updated once before the first rollout, on a rollout that is
     thrown away, and then after each update: within an iteration the old and the new policy see the
@@ -60,6 +63,7 @@ class Trainer:
             evaluates.
         run_dir: Folder for checkpoints and logs; made if missing.
         workers: The processes that train together; by default this one.
+        should_stop: Asked after each iteration whether to stop there; one process that says so stops all.
 
     Attributes:
         state: What a checkpoint holds.
@@ -80,6 +84,7 @@ class Trainer:
         eval_envs: GraphVecEnv | None = None,
         run_dir: str | Path = "runs/default",
         workers: Workers | None = None,
+        should_stop: Callable[[], bool] = never,
     ) -> None:
         self.config = config
         self.policy = policy
@@ -87,6 +92,7 @@ class Trainer:
         self.eval_envs = eval_envs
         self.run_dir = Path(run_dir)
         self.workers = workers or Workers()
+        self._should_stop = should_stop
         self.last_evaluation: dict[str, float] = {}
         self._check_fit()
         self.state = TrainingState.fresh(config, policy, self.workers)
@@ -115,11 +121,13 @@ class Trainer:
         Raises:
             NonFiniteError: If an observation, reward or gradient is not finite.
             OSError: If a checkpoint cannot be written.
+            TrainingStoppedError: If it was asked to stop before the last iteration; `last.pt` is that of the last one done.
         """
         self.prepare()
         try:
             while self.state.iteration < self.config.num_iterations:
                 self.run_iteration()
+                self._stop_if_asked()
         finally:
             self.close()
         self._save("final_ckpt.pt")
@@ -304,6 +312,12 @@ class Trainer:
             with self._timed("checkpoint"):
                 self._save("last.pt")
                 self._reset_envs()
+
+    def _stop_if_asked(self) -> None:
+        done, of = self.state.iteration, self.config.num_iterations
+        if done < of and any(self.workers.gather(self._should_stop())):
+            self._save("last.pt")
+            raise TrainingStoppedError(self.run_dir, done, of, is_saved=self.config.save_model)
 
     def _save(self, name: str) -> None:
         if not self.config.save_model:

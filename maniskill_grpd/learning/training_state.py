@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from maniskill_grpd.learning.algorithm import ALGORITHMS
-from maniskill_grpd.learning.checkpoint import CheckpointError, describe_differences, load_checkpoint, restore_policy
+from maniskill_grpd.learning.checkpoint import CheckpointError, describe_differences, load_checkpoint, reading, restore_policy
 from maniskill_grpd.learning.config import RESUMABLE_FIELDS, TrainConfig
 from maniskill_grpd.learning.protocols import ActorCritic
 from maniskill_grpd.learning.update import Algorithm
@@ -98,14 +98,19 @@ class TrainingState:
         contents = load_checkpoint(path, next(self.policy.parameters()).device)
         self._check_origin(path, contents)
         restore_policy(self.policy, contents)
-        self.optimizer.load_state_dict(contents["optimizer"])
-        self.algorithm.load_state_dict(contents["algorithm"])
-        self.value_scale.load_state_dict(contents["value_scale"])
-        for name, generator in self.generators.items():
-            state = contents["generators"][_generator_key(name, self.workers.rank)]
-            generator.set_state(state.cpu())
+        with reading(path, "optimizer"):
+            self.optimizer.load_state_dict(contents["optimizer"])
+            _check_moments(self.optimizer)
+        with reading(path, "algorithm"):
+            self.algorithm.load_state_dict(contents["algorithm"])
+        with reading(path, "value_scale"):
+            self.value_scale.load_state_dict(contents["value_scale"])
+        with reading(path, "generators"):
+            for name, generator in self.generators.items():
+                generator.set_state(contents["generators"][_generator_key(name, self.workers.rank)].cpu())
+        with reading(path, "best_score"):
+            self.best_score = None if contents["best_score"] is None else [float(score) for score in contents["best_score"]]
         self.iteration = contents["iteration"]
-        self.best_score = contents["best_score"]
 
     def restore_weights(self, path: str | Path) -> None:
         """Take over the weights of a checkpoint, and the scale of its values, for a new run.
@@ -119,7 +124,8 @@ class TrainingState:
         """
         contents = load_checkpoint(path, next(self.policy.parameters()).device)
         restore_policy(self.policy, contents)
-        self.value_scale.load_state_dict(contents["value_scale"])
+        with reading(path, "value_scale"):
+            self.value_scale.load_state_dict(contents["value_scale"])
 
     def _check_origin(self, path: str | Path, contents: dict[str, Any]) -> None:
         """Refuse a checkpoint of a run that this one would not continue."""
@@ -138,6 +144,19 @@ class TrainingState:
                 if size > 1
                 else f"{path} was written by one process; resume it without torchrun"
             )
+
+
+def _check_moments(optimizer: torch.optim.Optimizer) -> None:
+    """Refuse moments that are not those of the weights; the optimizer would trip over them in its first step.
+
+    Raises:
+        ValueError: Naming the first.
+    """
+    for parameter, state in optimizer.state.items():
+        for name, value in state.items():
+            expected = () if name == "step" else tuple(parameter.shape)
+            if not isinstance(value, torch.Tensor) or value.shape != expected or not torch.isfinite(value).all():
+                raise ValueError(f"{name} must be a finite tensor of shape {expected}")
 
 
 def generator_seed(seed: int, rank: int) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 from maniskill_grpd.learning.protocols import ActorCritic
@@ -81,7 +83,12 @@ class ValueScale:
         return {"weight": self._weight, "mean": self._mean, "mean_square": self._mean_square}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restore what `state_dict` returned."""
-        self._weight = state["weight"]
-        self._mean = state["mean"]
-        self._mean_square = state["mean_square"]
+        """Restore what `state_dict` returned.
+
+        Raises:
+            ValueError: If a number is not finite.
+        """
+        numbers = [float(state[name]) for name in ("weight", "mean", "mean_square")]
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError(f"the scale of the returns must be finite, got {state}")
+        self._weight, self._mean, self._mean_square = numbers

@@ -8,8 +8,8 @@ from typing import Any
 import gymnasium as gym
 import torch
 
-from maniskill_grpd.learning import CheckpointError, load_checkpoint
-from maniskill_grpd.learning.checkpoint import describe_differences
+from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoint
+from maniskill_grpd.learning.checkpoint import describe_differences, load_weights, reading
 from maniskill_grpd.policies import Policy, policy_from_config
 from maniskill_grpd.tasks.options.env_id import check_env_id
 
@@ -29,13 +29,16 @@ def load_policy(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        CheckpointError: If it is no checkpoint.
+        CheckpointError: If it is no checkpoint, or what it holds is damaged.
         ValueError: If the id of its task names a module and that is not allowed.
     """
     contents = load_checkpoint(path)
     check_env_id(contents["train_config"].get("env_id"), str(path), allow_import=allow_import)
-    policy = policy_from_config(contents["policy"])
-    policy.load_state_dict(contents["weights"])
+    with reading(path, "train_config"):
+        TrainConfig.from_dict(contents["train_config"])
+    with reading(path, "policy"):
+        policy = policy_from_config(contents["policy"])
+    load_weights(policy, contents["weights"])
     return policy.to(device).eval(), contents
 
 

@@ -19,7 +19,6 @@ from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.processor import processor_name
 from maniskill_grpd.runs.folder import check_name
 from maniskill_grpd.tasks.measurement import Metric
-from maniskill_grpd.tasks.options.env_id import check_env_id
 
 _PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
 
@@ -85,23 +84,23 @@ def write_aside(path: Path, text: str) -> None:
         raise
 
 
-def read_run_config(run_dir: Path, *, allow_import: bool = False) -> TrainConfig:
+def read_run_config(run_dir: Path) -> TrainConfig:
     """Read the options of a run back from its config.json.
 
     Args:
         run_dir: Folder of the run.
-        allow_import: Whether the id of its task may name a module, which is imported when the task is made.
 
     Raises:
         FileNotFoundError: If the folder is not one of a run.
-        ValueError: If the id of its task names a module and that is not allowed.
+        ValueError: If the record is damaged, naming file and line.
     """
     path = run_dir / "config.json"
     if not path.is_file():
         raise FileNotFoundError(f"{run_dir} is not the folder of a run: it has no config.json")
-    config = TrainConfig.from_dict(_read_record(path)["config"])
-    check_env_id(config.env_id, str(path), allow_import=allow_import)
-    return config
+    try:
+        return TrainConfig.from_dict(_read_record(path)["config"])
+    except TypeError as error:
+        raise ValueError(f"{path}: damaged, {error}") from error
 
 
 def read_progress(run_dir: Path) -> Metric | None:
@@ -116,7 +115,8 @@ def read_progress(run_dir: Path) -> Metric | None:
 def _read_record(path: Path) -> dict[str, Any]:
     """Read config.json; a ValueError names file and line where it is damaged."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        # Bytes that are no text end up where the parser finds them.
+        record = json.loads(path.read_text(encoding="utf-8", errors="replace"))
     except json.JSONDecodeError as error:
         raise ValueError(f"{path}, line {error.lineno}: damaged, {error.msg}") from error
     if not isinstance(record, dict) or not isinstance(record.get("config"), dict):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig, Trainer
+from maniskill_grpd.learning.stopping import never
 from maniskill_grpd.learning.workers import Workers, join_workers
 from maniskill_grpd.policies import make_policy
 from maniskill_grpd.runs.environments import check_task, make_vector_env
@@ -25,11 +27,12 @@ from maniskill_grpd.runs.video import record_video
 NUM_VIDEO_EPISODES = 4
 
 
-def train(config: TrainConfig) -> Path:
+def train(config: TrainConfig, should_stop: Callable[[], bool] = never) -> Path:
     """Run a training as configured.
 
     Args:
         config: Options; with `resume` those of the run that goes on.
+        should_stop: Asked after each iteration whether to stop there.
 
     Returns:
         The folder of the run.
@@ -37,6 +40,7 @@ def train(config: TrainConfig) -> Path:
     Raises:
         FileExistsError: If the folder already holds a run that is not to be resumed.
         RunInUseError: If another process works at it.
+        TrainingStoppedError: If it was asked to stop before the last iteration.
     """
     check_task(config.env_id, config.env_options)
     device = choose_device(config.sim_backend)
@@ -47,13 +51,13 @@ def train(config: TrainConfig) -> Path:
     if not config.resume and is_taken:
         raise FileExistsError(f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name")
     with hold_run(run_dir) if workers.is_first else contextlib.nullcontext():
-        _train_in(run_dir, config, workers)
+        _train_in(run_dir, config, workers, should_stop)
     return run_dir
 
 
-def _train_in(run_dir: Path, config: TrainConfig, workers: Workers) -> None:
+def _train_in(run_dir: Path, config: TrainConfig, workers: Workers, should_stop: Callable[[], bool]) -> None:
     """Train in a folder that no other process works at."""
-    trainer = make_trainer(config, run_dir, workers)
+    trainer = make_trainer(config, run_dir, workers, should_stop)
     # A run that was stopped before its first checkpoint begins anew.
     has_checkpoint = workers.gather((run_dir / "last.pt").exists())[0]
     if config.resume and has_checkpoint:
@@ -76,7 +80,9 @@ def choose_device(sim_backend: str) -> torch.device:
     return device
 
 
-def make_trainer(config: TrainConfig, run_dir: Path, workers: Workers | None = None) -> Trainer:
+def make_trainer(
+    config: TrainConfig, run_dir: Path, workers: Workers | None = None, should_stop: Callable[[], bool] = never
+) -> Trainer:
     """Make environments, an untrained policy and the trainer."""
     workers = workers or Workers()
     local = workers.share("num_envs", config.num_envs)
@@ -94,7 +100,7 @@ def make_trainer(config: TrainConfig, run_dir: Path, workers: Workers | None = N
             f"{config.policy} with {size:,} parameters; {config.algorithm}, {config.num_iterations} iterations of "
             f"{config.batch_size:,} steps; {run_dir}"
         )
-    return Trainer(config, policy, envs, eval_envs, run_dir, workers)
+    return Trainer(config, policy, envs, eval_envs, run_dir, workers, should_stop)
 
 
 def fit_policy_options(options: dict[str, Any], envs: ManiSkillVectorEnv) -> dict[str, Any]:

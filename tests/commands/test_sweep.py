@@ -1,5 +1,9 @@
 """Sweeps from the command line: every combination once, resumed, and nothing touched that is not theirs."""
 
+import os
+import signal
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -44,6 +48,24 @@ def test_a_failed_run_is_named_with_its_reason(capsys):
     output = capsys.readouterr()
     assert "failed" in output.out
     assert "no checkpoint at none.pt" in output.err
+
+
+def test_a_sweep_that_is_asked_to_stop_passes_it_on_and_its_runs_leave_checkpoints(folder):
+    """Its runs were killed, and lost what they had trained since their last checkpoint."""
+    run_dir = folder / "runs/s/seed=1"
+
+    def hang_up():
+        end = time.monotonic() + 300.0
+        while not any(path.stat().st_size for path in run_dir.glob("metrics.jsonl")) and time.monotonic() < end:
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGHUP)
+
+    threading.Thread(target=hang_up).start()
+    common = [*TINY, "--total_timesteps", "2_000_000", "--checkpoint_freq", "100_000"]
+    assert run_sweep("seed=1", common=common) == 130
+    assert load_checkpoint(run_dir / "last.pt")["iteration"] >= 1
+    assert not (run_dir / "failed.json").exists()
+    assert "go on: maniskill-grpd train --resume runs/s/seed=1" in (run_dir / "job.log").read_text()
 
 
 @pytest.mark.parametrize("name", ["../precious", "s/../../precious"])

@@ -71,11 +71,19 @@ def test_what_is_not_trained_is_not_tested_and_the_failure_is_marked_with_its_lo
     assert "$ maniskill-grpd train --exp_name s/toy" in job.log.read_text()
 
 
-@pytest.mark.parametrize("code", [130, 143])
+@pytest.mark.parametrize("code", [129, 130, 143])
 def test_an_interruption_is_no_failure(code):
     job = toy_job()
     start, _ = starting(code)
     run_job(job, start)
+    assert not job.failure.exists()
+
+
+def test_no_end_of_a_command_is_a_failure_while_all_are_asked_to_stop():
+    """PyTorch's launcher, which trains with several processes, ends with 1 when it is asked to stop."""
+    job = toy_job()
+    start, _ = starting(1)
+    run_job(job, start, is_stopping=lambda: True)
     assert not job.failure.exists()
 
 

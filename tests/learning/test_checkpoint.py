@@ -6,6 +6,7 @@ import os
 import pytest
 import torch
 from toy_env import ToyPolicy
+from toy_run import make_toy_trainer
 
 from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoint, save_checkpoint
 from maniskill_grpd.learning.checkpoint import restore_policy
@@ -129,3 +130,61 @@ def test_a_failed_sync_leaves_the_old_checkpoint(tmp_path, monkeypatch):
 def test_a_missing_folder_is_an_os_error(tmp_path):
     with pytest.raises(OSError, match="nothing was written"):
         save_checkpoint(tmp_path / "none" / "a.pt", contents())
+
+
+GARBAGE = {
+    "none": None,
+    "number": 7,
+    "negative": -1,
+    "text": "garbage",
+    "list": ["a", "b"],
+    "names": {"garbage": 1},
+    "numbers": {1: {2: 3}},
+    "tensor": torch.full((3,), 1e9),
+}
+SOUND = {("iteration", "number"), ("global_step", "number"), ("best_score", "none")}
+
+
+@pytest.mark.parametrize("garbage", GARBAGE)
+@pytest.mark.parametrize("entry", sorted(contents()))
+def test_an_entry_that_is_garbage_is_named(tmp_path, entry, garbage):
+    """They ended in tracebacks: KeyError, TypeError, AttributeError, some of them in the first step of training."""
+    trainer = make_toy_trainer(tmp_path)
+    save_checkpoint(tmp_path / "a.pt", {**trainer.state.to_checkpoint(), entry: GARBAGE[garbage]})
+    if (entry, garbage) in SOUND:
+        trainer.load(tmp_path / "a.pt")
+        return
+    with pytest.raises(CheckpointError, match=f"{entry}|options|fit this policy|process"):
+        trainer.load(tmp_path / "a.pt")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("weights", "encoder.0.weight"), torch.zeros(2, 2)),
+        (("weights", "encoder.0.weight"), "garbage"),
+        (("weights", "encoder.0.weight"), torch.nan),
+        (("optimizer", "param_groups"), []),
+        (("optimizer", "param_groups"), [{"lr": 1.0}]),
+        (("optimizer", "state", 0, "exp_avg"), torch.zeros(1)),
+        (("optimizer", "state", 0, "exp_avg_sq"), "garbage"),
+        (("value_scale", "mean"), float("nan")),
+        (("value_scale", "mean"), "garbage"),
+        (("generators", "action"), torch.zeros(3, dtype=torch.uint8)),
+        (("generators", "action"), torch.zeros(3)),
+        (("generators", "action"), "garbage"),
+        (("best_score",), ["a", "b"]),
+    ],
+    ids=str,
+)
+def test_garbage_within_an_entry_is_named(tmp_path, path, value):
+    make_toy_trainer(tmp_path).train()
+    saved = load_checkpoint(tmp_path / "last.pt")
+    place = saved
+    for key in path[:-1]:
+        place = place[key]
+    name = path[-1] if path[0] != "weights" else next(iter(place))
+    place[name] = torch.full_like(place[name], value) if isinstance(value, float) and path[0] == "weights" else value
+    save_checkpoint(tmp_path / "a.pt", saved)
+    with pytest.raises(CheckpointError, match=path[0]):
+        make_toy_trainer(tmp_path).load(tmp_path / "a.pt")

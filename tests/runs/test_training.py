@@ -1,5 +1,8 @@
 """Runs that are started twice, and runs that were stopped early."""
 
+import json
+import signal
+
 import pytest
 
 pytest.importorskip("mani_skill")
@@ -52,3 +55,41 @@ def test_a_run_that_began_with_the_weights_of_another_can_be_resumed(folder):
     assert main([*TINY, "--exp_name", "two", "--checkpoint", "runs/one/final_ckpt.pt"]) == 0
     assert main(["train", "--resume", "runs/two", "--total_timesteps", "24"]) == 0
     assert load_checkpoint(folder / "runs/two/final_ckpt.pt")["global_step"] == 24
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_a_run_after_its_iteration_with_the_command_that_goes_on(number, folder, monkeypatch, capsys):
+    """Ctrl-C lost what was trained since the last checkpoint; the other signals said nothing at all."""
+    run_iteration = Trainer.run_iteration
+
+    def signalled(self):
+        signal.raise_signal(number)
+        run_iteration(self)
+
+    before = signal.signal(number, signal.SIG_DFL)  # a shell's background ignores Ctrl-C
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "run_iteration", signalled)
+        assert main(TINY) == 128 + number
+    signal.signal(number, before)
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.endswith("checkpoint runs/one/last.pt; go on: maniskill-grpd train --resume runs/one")
+    assert load_checkpoint(folder / "runs/one/last.pt")["global_step"] == 8
+    assert main(["train", "--resume", "runs/one"]) == 0
+    assert load_checkpoint(folder / "runs/one/final_ckpt.pt")["global_step"] == 16
+
+
+@pytest.mark.parametrize("damage", [None, b"", b'{"config": {"seed', b"\xff\xfe", b'{"config": {"num_envs": "two"}}'])
+def test_a_run_goes_on_from_its_checkpoint_whatever_became_of_its_record_and_log(damage, folder, capsys):
+    """The checkpoint holds the options too; a damaged config.json cost the run."""
+    assert main(TINY) == 0
+    record, log = folder / "runs/one/config.json", folder / "runs/one/metrics.jsonl"
+    before = json.loads(record.read_text())
+    record.unlink() if damage is None else record.write_bytes(damage)
+    log.write_bytes(b"garbage\n" + log.read_bytes())
+    assert main(["train", "--resume", "runs/one", "--total_timesteps", "24"]) == 0
+    output = capsys.readouterr().err
+    assert "the options are those of runs/one/last.pt" in output
+    assert "metrics.jsonl, line 1: damaged" in output
+    assert load_checkpoint(folder / "runs/one/final_ckpt.pt")["global_step"] == 24
+    after = json.loads(record.read_text())["config"]
+    assert after == {**before["config"], "total_timesteps": 24, "resume": "runs/one"}
