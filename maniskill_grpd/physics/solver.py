@@ -8,17 +8,14 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
-from maniskill_grpd.physics.kernels.data import Timing, Worlds
+from maniskill_grpd.physics.kernels.data import Worlds
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
-from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects
+from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects, upload_timings
 from maniskill_grpd.physics.world_state import WorldState
-
-# Searches for contacts of an object with itself in one control step.
-SEARCHES_PER_STEP = 4
 
 
 class Solver(WorldState):
@@ -31,6 +28,7 @@ class Solver(WorldState):
 
     Attributes:
         models: The variants; `model` is the first.
+        substeps: Substeps of each variant in one `step()`, M numbers.
         variants: Variant of each world, (B,) int32, changed by `reset`.
         node_mask: True for nodes, False for padding, (B, N) bool.
         positions: Node positions, (B, N, 3) [m].
@@ -87,8 +85,8 @@ class Solver(WorldState):
             num_worlds: Number of worlds B, >= 1.
             num_grippers: Number of grippers A, >= 1.
             control_dt: Duration of one `step()` [s], > 0.
-            substeps: XPBD substeps in one `step()`, >= 1. More substeps are stiffer and slower. By default what the model needs
-                for a step of 0.05 s, 20 for ropes.
+            substeps: XPBD substeps in one `step()`, >= 1, the same for all variants. More substeps are stiffer and slower. By
+                default each variant has what its model needs for a step of 0.05 s, whichever others there are.
             device: "cpu" or a CUDA device.
             num_threads: CPU threads that share the worlds; by default all cores, but at least 16 worlds per thread.
             colliders: Obstacles that every world has, at the origin until `collider_positions` says otherwise.
@@ -109,6 +107,8 @@ class Solver(WorldState):
         ):
             if not value >= low:
                 raise ValueError(f"{name} must be >= {low}, got {value}")
+        if substeps is not None and int(substeps) != substeps:
+            raise ValueError(f"substeps must be a whole number, got {substeps}")
         if not control_dt > 0.0:
             raise ValueError(f"control_dt must be > 0 s, got {control_dt}")
         if num_threads is not None and num_threads < 1:
@@ -118,7 +118,7 @@ class Solver(WorldState):
             raise ValueError("a solver needs at least one model, got none")
         super().__init__(models, num_worlds, num_grippers, tuple(colliders), torch.device(device))
         self.control_dt = control_dt
-        self.substeps = max(entry.default_substeps for entry in models) if substeps is None else substeps
+        self.substeps = tuple(entry.default_substeps if substeps is None else substeps for entry in models)
         self.patch_radius = patch_radius
         self.capture_radius = capture_radius
         self._features = choose_features(self.models, self.colliders, self_collision)
@@ -341,12 +341,10 @@ class Solver(WorldState):
                 setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
         touch = allocate_touch(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
-        timing = Timing()
-        timing.num_substeps, timing.dt = self.substeps, self.control_dt / self.substeps
-        timing.search_interval = max(1, self.substeps // SEARCHES_PER_STEP)
+        timings = upload_timings(self.substeps, self.control_dt, device)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
         self._uploaded = [objects, colliders, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
-        self._inputs = [objects, colliders, worlds, self._groups.data, touch, contacts, timing]
+        self._inputs = [objects, colliders, worlds, self._groups.data, touch, contacts, timings]
         num_threads = min(num_threads, self._groups.count)
         return [self._record_command(part, num_threads, 0, 1) for part in range(num_threads)]
 

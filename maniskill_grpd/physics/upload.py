@@ -9,12 +9,14 @@ import numpy as np
 import warp as wp
 
 from maniskill_grpd.physics.colliders import MAX_POLYGON_VERTICES, Collider
-from maniskill_grpd.physics.kernels.data import Colliders, Features, Objects
+from maniskill_grpd.physics.kernels.data import Colliders, Features, Objects, Timing
 from maniskill_grpd.physics.mesh.coloring import color_constraints
 from maniskill_grpd.physics.model import Model
 
 # Parts of an object that are closer through the material than this many radii plus edges do not collide with each other.
 EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
+# Searches for contacts of an object with itself in one control step.
+SEARCHES_PER_STEP = 4
 
 
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
@@ -37,6 +39,17 @@ def geodesic_table(models: Sequence[Model]) -> np.ndarray:
         count = model.num_nodes
         table[index, :count, :count] = model.geodesic_distances(np.arange(count)).T
     return table
+
+
+def upload_timings(substeps: Sequence[int], control_dt: float, device: str) -> wp.array:
+    """Divide the control step of each variant, M numbers of substeps, and hand that to Warp as (M,) `Timing`."""
+    timings = []
+    for number in substeps:
+        timing = Timing()
+        timing.num_substeps, timing.dt = number, control_dt / number
+        timing.search_interval = max(1, number // SEARCHES_PER_STEP)
+        timings.append(timing)
+    return wp.array(timings, dtype=Timing, device=device)
 
 
 def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) -> Objects:

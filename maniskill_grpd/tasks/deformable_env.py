@@ -25,6 +25,7 @@ from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, grippe
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.seeds import expand_seeds
+from maniskill_grpd.tasks.options.substeps import check_substeps
 from maniskill_grpd.tasks.pictures.painters import choose_painter
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
@@ -79,6 +80,8 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
         graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default.
             The simulation keeps all nodes.
+        substeps: Substeps of the solver in a control step, 1 to 1,000; by default what each variant of
+            the object needs.
         num_threads: CPU threads of the solver, chosen by it by default.
         settings: Further settings of ManiSkill's `BaseEnv`.
 
@@ -110,6 +113,7 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         material: Mapping[str, float | Sequence[float]] | None = None,
         pose_range: str = "full",
         graph_nodes: int | None = None,
+        substeps: int | None = None,
         num_threads: int | None = None,
         **settings: Any,
     ) -> None:
@@ -125,6 +129,7 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         self._full_obs_mode = obs_mode or "graph"
         self.pose_share = POSE_RANGES[pose_range]
         self._num_graph_nodes = graph_nodes
+        self._substeps = check_substeps(substeps)
         self._num_threads = num_threads
         self._compute_device = choose_compute_device(sim_backend)
         self._render_device_name = choose_render_device(render_backend, render_mode, base_mode)
@@ -233,6 +238,7 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
             self.num_envs,
             self.num_grippers,
             control_dt=self.control_timestep,
+            substeps=self._substeps,
             device=self.device,
             num_threads=self._num_threads,
             colliders=self.build_colliders(),

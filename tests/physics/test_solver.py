@@ -229,6 +229,7 @@ def test_cuda_follows_the_cpu():
         ({"num_worlds": 0}, "num_worlds"),
         ({"num_grippers": 0}, "num_grippers"),
         ({"substeps": 0}, "substeps"),
+        ({"substeps": 2.5}, "substeps must be a whole number"),
         ({"control_dt": -1.0}, "control_dt"),
         ({"num_threads": 0}, "num_threads"),
     ],

@@ -24,7 +24,6 @@ def test_worlds_of_different_resolution_are_those_they_are_alone(make_env, draw_
     lone.goal_positions[0] = base.goal_positions[small, :21]
     held = base.start_nodes[small]
     assert held.tolist() == [0, 5, 15, 20]
-    # substeps follow from the finest variant: both run with those of 41 nodes, 20
     for env, world in ((base, small), (lone, 0)):
         index = torch.tensor([world])
         start = torch.zeros(1, env.solver.num_nodes, 3)
@@ -100,3 +99,14 @@ def test_statistics_leave_the_padding_out():
 def test_impossible_resolutions_are_refused(value):
     with pytest.raises(ValueError, match=r"\[20, 200\]"):
         check_resolutions(value, 20, 200)
+
+
+def test_substeps_are_those_of_the_variant_or_of_the_option(make_env):
+    assert make_env(1, resolution=(21, 81)).unwrapped.solver.substeps == (20, 40)
+    assert make_env(1, resolution=(21, 81), substeps=30).unwrapped.solver.substeps == (30, 30)
+
+
+@pytest.mark.parametrize("substeps", [0, 1001, 2.5, True])
+def test_substeps_out_of_range_are_refused(make_env, substeps):
+    with pytest.raises(ValueError, match=r"substeps must be a whole number in \[1, 1000\], got"):
+        make_env(1, substeps=substeps)

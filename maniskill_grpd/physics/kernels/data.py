@@ -33,7 +33,7 @@ class Line:
 
 @wp.struct
 class Timing:
-    """How a control step is divided."""
+    """How the control steps of a variant are divided."""
 
     num_substeps: int
     search_interval: int  # substeps from one search for self-contacts to the next

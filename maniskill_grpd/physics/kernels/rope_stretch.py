@@ -114,8 +114,8 @@ def straighten_rope(group: int, line: Line, tautness: Any, is_last: bool, object
 
         s_i = x_i + w_i (tau_i-1 (s_i-1 - s_i) + tau_i (s_i+1 - s_i))
 
-    Every s_i is a weighted mean, so that nothing cancels. In worlds where the rope is not taut s is x. The last time nodes move
-    there, and what held ones are pulled by is added to their reactions.
+    Every s_i is a weighted mean, so that nothing cancels. In worlds where the rope is not taut s is x. Force densities take the
+    place of the multipliers. The last time nodes move to s, and what held ones are pulled by is added to their reactions.
     """
     density = spread(tautness, 0.0)  # of the edge behind
     ratio = spread(tautness, 0.0)
@@ -127,6 +127,7 @@ def straighten_rope(group: int, line: Line, tautness: Any, is_last: bool, object
         density_before = spread(tautness, 0.0)
         if k > 0:
             density_before = force_density(group, line, k - 1, tautness, objects, groups)
+            groups.multipliers[group, k - 1] = density_before
         pivot = spread(w, 1.0) + w * (density_before + density * (spread(w, 1.0) - ratio))
         point = (groups.positions[group, node] + point * (w * density)) / pivot
         ratio = w * density_before / pivot
@@ -144,9 +145,11 @@ def straighten_rope(group: int, line: Line, tautness: Any, is_last: bool, object
             node = objects.line_nodes[line.first_node + k]
             groups.positions[group, node] = point
             if k > 0:
-                pull = (before - point) * force_density(group, line, k - 1, tautness, objects, groups)
-                react(group, node, pull, groups)
-                react(group, objects.line_nodes[line.first_node + k - 1], pull * -1.0, groups)
+                last_node = objects.line_nodes[line.first_node + k - 1]
+                if not (groups.is_free[group, node] and groups.is_free[group, last_node]):
+                    pull = (before - point) * groups.multipliers[group, k - 1]
+                    react(group, node, pull, groups)
+                    react(group, last_node, pull * -1.0, groups)
 
 
 @wp.func

@@ -130,7 +130,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         groups: group_type,
         touch: Touch,
         contacts: SelfContacts,
-        timing: Timing,
+        timings: wp.array(dtype=Timing),
         first_group: int,
         group_stride: int,
         first_thread: int,
@@ -149,6 +149,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         thread.variant = worlds.variants[groups.members[group, 0]]
         thread.first = first * thread_stride + first_thread
         thread.stride = wp.block_dim() * thread_stride
+        timing = timings[thread.variant]
         num_nodes = objects.node_counts[thread.variant]
         load_group(thread, timing, objects, colliders, worlds, groups, touch)
         for substep in range(timing.num_substeps):

@@ -61,7 +61,7 @@ def tip_load(test: str) -> Iterator[Check]:
     solver.inverse_masses[:, -1] = 1.0 / load
     settle(solver, 10.0)
     expected = (load + 0.5 * density) * GRAVITY / stiffness
-    dt = solver.control_dt / solver.substeps
+    dt = solver.control_dt / solver.substeps[0]
     yield Check(
         test=test,
         what="elongation under a tip load [m]",
@@ -120,7 +120,7 @@ def hanging_chain(test: str, *, slack: float, num_links: int) -> Iterator[Check]
     weight = material.linear_density * GRAVITY
     strain = weight * (a + sag) / material.stretch_stiffness
     sensitivity = (closed_forms.catenary(length * 1.001, span)[0] - sag) / (0.001 * length)
-    dt = solver.control_dt / solver.substeps
+    dt = solver.control_dt / solver.substeps[0]
     noise = num_links * FLOAT32_ULP * span * sensitivity + float_strain(dt, span) * sag
     yield Check(
         test=test,
@@ -211,7 +211,7 @@ def ring(test: str) -> Iterator[Check]:
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     turns = np.degrees(np.arccos(np.clip((steps[1:] * steps[:-1]).sum(axis=1), -1.0, 1.0)))
     strain = 2.0 * material.bend_stiffness * (2.0 * np.pi / length) ** 2 / material.stretch_stiffness
-    dt = solver.control_dt / solver.substeps
+    dt = solver.control_dt / solver.substeps[0]
     softening = closed_forms.bend_softening(material.bend_stiffness, material.linear_density, segment, dt)
     tolerance = np.degrees(4.0 * FLOAT32_ULP * radius / segment) + 360.0 * strain + np.degrees(drift_bound(solver) / radius)
     tolerance += 9.0 * softening
@@ -249,7 +249,7 @@ def bend_stiffness_scaling(test: str) -> Iterator[Check]:
         solver = free_solver(model, substeps=balanced_substeps(gamma, length, num_nodes))
         solver.inverse_masses[:, :2] = 0.0
         settle(solver, 6.0)
-        dt = solver.control_dt / solver.substeps
+        dt = solver.control_dt / solver.substeps[0]
         softening = closed_forms.bend_softening(stiffness, density, segment, dt)
         expected = density * GRAVITY * length**4 / 8.0
         tip = solver.positions[0, -1]
