@@ -76,7 +76,7 @@ def test_a_link_that_leads_nowhere_is_found(tmp_path):
 def test_the_programs_of_the_page_about_materials_run():
     pytest.importorskip("mani_skill")
     programs = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / "own_material.md").read_text(), re.MULTILINE | re.DOTALL)
-    assert len(programs) == 2
+    assert len(programs) == 3
     for program in programs:
         exec(program, {})
 

@@ -5,7 +5,7 @@ worlds, `N` nodes, `A` grippers, `K` colliders, `M` variants of the object. Know
 nothing of gymnasium or ManiSkill.
 """
 
-from maniskill_grpd.physics.cloth import ClothMaterial, cloth
+from maniskill_grpd.physics.cloth import ClothMaterial, cloth, cloth_from_file, cloth_from_mesh
 from maniskill_grpd.physics.colliders import Collider, box, capsule, cylinder, plane, prism, sphere, triangle_mesh
 from maniskill_grpd.physics.fields import STANDARD_GRAVITY
 from maniskill_grpd.physics.mesh.curves import resample_polyline
@@ -32,6 +32,8 @@ __all__ = [
     "capsule",
     "circle_outline",
     "cloth",
+    "cloth_from_file",
+    "cloth_from_mesh",
     "cylinder",
     "hexagon_outline",
     "l_shape_outline",

@@ -1,22 +1,27 @@
-"""Cloth: an elastic sheet with bending stiffness, built from any polygon with holes."""
+"""Cloth: an elastic sheet with bending stiffness, built from any polygon with holes or any triangle mesh."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from maniskill_grpd.physics.mesh.distances import distances_in_sheet
-from maniskill_grpd.physics.mesh.fit import fit_stiffness, quartic_coefficients
+from maniskill_grpd.physics.mesh.distances import distances_in_sheet, distances_on_surface
+from maniskill_grpd.physics.mesh.flattening import flatten
+from maniskill_grpd.physics.mesh.hinges import Bending, fit_bending
 from maniskill_grpd.physics.mesh.outlines import check_holes, check_polygon
+from maniskill_grpd.physics.mesh.sewing import sew
+from maniskill_grpd.physics.mesh.springs import fit_springs
+from maniskill_grpd.physics.mesh.surface import Surface, curved_surface, flat_surface
 from maniskill_grpd.physics.mesh.triangulation import PlanarMesh, triangulate
 from maniskill_grpd.physics.model import Model
 
 MIN_NODES, MAX_NODES = 4, 2500
-# Two triangles form nearly a rectangle, and get a spring across, if its diagonals differ by less than this factor.
-RECTANGLE_RATIO = 1.2
+# Hinges that are folded by less than this, as sin(theta / 2), are flat: their constraint is linear in the positions.
+FLAT_SINE = 1e-4
 # One substep passes tension on by about one node: larger meshes get more of them.
 SUBSTEPS_PER_NODE_ROW = 1.0
 
@@ -86,23 +91,128 @@ def cloth(
     material = material or ClothMaterial()
     if not MIN_NODES <= num_nodes <= MAX_NODES:
         raise ValueError(f"num_nodes of a cloth must be in [{MIN_NODES}, {MAX_NODES}], got {num_nodes}")
-    if not (np.isfinite(radius) and radius > 0.0):
-        raise ValueError(f"the radius of a cloth must be finite and > 0 m, got {radius}")
+    _check_radius(radius)
     outline = check_polygon(outline, "the outline")
     holes = [check_polygon(hole, f"hole {index}") for index, hole in enumerate(holes)]
     check_holes(outline, holes)
     mesh = triangulate(outline, holes, num_nodes)
+    return _build_flat(mesh, np.column_stack([mesh.points, np.zeros(len(mesh.points))]), radius, material)
 
-    surface = trimesh.Trimesh(_flat(mesh.points), mesh.faces, process=False)
-    areas = surface.area_faces
-    masses = np.bincount(mesh.faces.ravel(), np.repeat(areas / 3.0, 3), len(mesh.points)) * material.area_density
-    edges, stiffness = _fit_springs(mesh.points, surface, material)
-    rest_lengths = np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
-    hinges, weights, hinge_stiffness, triples, row_stiffness = _fit_bending(mesh.points, surface, material.bend_stiffness)
+
+def cloth_from_mesh(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    radius: float = 0.003,
+    material: ClothMaterial | None = None,
+    node_sets: Mapping[str, Sequence[int]] | None = None,
+) -> Model:
+    """Build a cloth from any triangle mesh: open or closed, flat or curved, of one layer or of several that are sewn together.
+
+    Vertices at the same place are one node, so that layers that share vertices are sewn there. The mesh is the shape at rest:
+    edges keep their lengths and triangles the angles between them. A flat mesh is the cloth that `cloth` makes of such a mesh;
+    on a curved one distances through the material run along the mesh (see `distances_on_surface`).
+
+    Node sets: "boundary" and "loop_0", "loop_1", ... (each rim in order, the one with the most nodes first) of an open mesh,
+    those of `cloth` besides if it is flat, and those that are given.
+
+    Args:
+        vertices: (V, 3) [m].
+        faces: Vertex indices of the triangles, in either direction, (F, 3).
+        radius: Half the cloth's thickness [m], > 0. Layers that are not to touch at rest are two radii apart.
+        material: Material constants, `ClothMaterial()` by default. A curved cloth has no direction of its threads, and so no
+            `shear_stiffness` of its own.
+        node_sets: Further sets of nodes by name, given by the indices of their vertices.
+
+    Raises:
+        ValueError: If the mesh cannot be cloth, saying what is wrong with which vertices or faces, or a number is out of its
+            range.
+    """
+    material = material or ClothMaterial()
+    _check_radius(radius)
+    points, nodes, node_of_vertex = sew(vertices, faces)
+    if not MIN_NODES <= len(points) <= MAX_NODES:
+        raise ValueError(f"a cloth has {MIN_NODES} to {MAX_NODES} nodes, the mesh has {len(points)}; simplify or subdivide it")
+    chosen = {name: _nodes_of(name, indices, node_of_vertex) for name, indices in (node_sets or {}).items()}
+    surface = curved_surface(points, nodes)
+    plane = flatten(surface)
+    model = _build_curved(surface, radius, material) if plane is None else _build_flat(plane, points, radius, material)
+    rims = {"boundary": np.concatenate(surface.loops)} if surface.loops else {}
+    rims |= {f"loop_{index}": loop for index, loop in enumerate(surface.loops)}
+    return replace(model, node_sets={**rims, **model.node_sets, **chosen})
+
+
+def cloth_from_file(
+    path: str | Path, *, scale: float = 1.0, radius: float = 0.003, material: ClothMaterial | None = None
+) -> Model:
+    """Build a cloth from a file of a mesh, in any format that trimesh reads.
+
+    Args:
+        path: The file.
+        scale: Factor on its coordinates that makes them metres, > 0.
+        radius: Half the cloth's thickness [m], > 0.
+        material: Material constants, `ClothMaterial()` by default.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it holds no triangles, or those of `cloth_from_mesh`.
+    """
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    if not (np.isfinite(scale) and scale > 0.0):
+        raise ValueError(f"scale must be finite and > 0, got {scale}")
+    mesh = trimesh.load(path, force="mesh", process=False)
+    if len(mesh.faces) == 0:
+        raise ValueError(f"{path} holds no triangles")
+    return cloth_from_mesh(scale * mesh.vertices, mesh.faces, radius=radius, material=material)
+
+
+def _check_radius(radius: float) -> None:
+    if not (np.isfinite(radius) and radius > 0.0):
+        raise ValueError(f"the radius of a cloth must be finite and > 0 m, got {radius}")
+
+
+def _nodes_of(name: str, vertices: Sequence[int], node_of_vertex: np.ndarray) -> np.ndarray:
+    indices = np.asarray(vertices)
+    if indices.ndim != 1 or len(indices) == 0 or indices.dtype.kind not in "iu":
+        raise ValueError(f"node_sets[{name!r}] must be vertex indices (n >= 1,), got {vertices!r:.100}")
+    if indices.min() < 0 or indices.max() >= len(node_of_vertex):
+        raise ValueError(f"node_sets[{name!r}] must index vertices 0 to {len(node_of_vertex) - 1}, got {vertices!r:.100}")
+    return node_of_vertex[indices]
+
+
+def _build_flat(mesh: PlanarMesh, rest_positions: np.ndarray, radius: float, material: ClothMaterial) -> Model:
+    """Build a flat cloth that lies at rest at given positions, (N, 3) [m]."""
     geodesics = distances_in_sheet(mesh.points, mesh.loops)
-    width = float(np.sqrt(len(mesh.points)))
+    arc = geodesics[mesh.corners].min(axis=0) / geodesics.max()
+    model = _build(flat_surface(mesh.points, mesh.faces), radius, material, geodesics, arc)
+    return replace(model, rest_positions=rest_positions.astype(np.float32), node_sets=_name_nodes(mesh))
+
+
+def _build_curved(surface: Surface, radius: float, material: ClothMaterial) -> Model:
+    """Build a cloth that is curved at rest. It begins at its rims, or if it is closed at two nodes that are farthest apart."""
+    if material.shear_stiffness is not None:
+        raise ValueError(
+            f"a curved cloth is isotropic, its shear_stiffness must be None, got {material.shear_stiffness}: a mesh does not say "
+            "how its threads run"
+        )
+    geodesics = distances_on_surface(surface)
+    ends = np.concatenate(surface.loops) if surface.loops else np.array(np.unravel_index(geodesics.argmax(), geodesics.shape))
+    arc = geodesics[ends].min(axis=0) / geodesics.max()
+    return _build(surface, radius, material, geodesics, arc)
+
+
+def _build(surface: Surface, radius: float, material: ClothMaterial, geodesics: np.ndarray, arc: np.ndarray) -> Model:
+    """Fit springs and bending to a surface and lump its masses."""
+    masses = np.bincount(surface.faces.ravel(), np.repeat(surface.areas / 3.0, 3), len(surface.points)) * material.area_density
+    shear = 0.375 * material.stretch_stiffness if material.shear_stiffness is None else material.shear_stiffness
+    edges, stiffness = fit_springs(surface, material.stretch_stiffness, shear)
+    rest_lengths = np.linalg.norm(surface.points[edges[:, 0]] - surface.points[edges[:, 1]], axis=1)
+    bending = fit_bending(surface, material.bend_stiffness)
+    is_flat = np.abs(bending.sines) < FLAT_SINE
+    width = float(np.sqrt(len(surface.points)))
     return Model(
-        rest_positions=_flat(mesh.points).astype(np.float32),
+        rest_positions=surface.points.astype(np.float32),
         masses=masses.astype(np.float32),
         radius=float(radius),
         damping=material.damping,
@@ -110,16 +220,18 @@ def cloth(
         edges=edges.astype(np.int32),
         rest_lengths=rest_lengths.astype(np.float32),
         stretch_compliances=(1.0 / stiffness).astype(np.float32),
-        bends=triples.astype(np.int32),
-        bend_compliances=(1.0 / row_stiffness).astype(np.float32),
-        arc=(geodesics[mesh.corners].min(axis=0) / geodesics.max()).astype(np.float32),
-        length=float(np.linalg.norm(np.ptp(mesh.points, axis=0))),
-        node_sets=_name_nodes(mesh),
-        faces=mesh.faces.astype(np.int32),
-        mesh_edges=surface.edges_unique.astype(np.int32),
-        hinges=hinges.astype(np.int32),
-        hinge_weights=weights.astype(np.float32),
-        hinge_compliances=(1.0 / hinge_stiffness).astype(np.float32),
+        bends=bending.triples.astype(np.int32),
+        bend_compliances=(1.0 / bending.triple_stiffness).astype(np.float32),
+        arc=arc.astype(np.float32),
+        length=float(np.linalg.norm(np.ptp(surface.points, axis=0))),
+        faces=surface.faces.astype(np.int32),
+        mesh_edges=surface.edges.astype(np.int32),
+        hinges=bending.hinges[is_flat].astype(np.int32),
+        hinge_weights=bending.weights[is_flat].astype(np.float32),
+        hinge_compliances=(1.0 / bending.hinge_stiffness[is_flat]).astype(np.float32),
+        folds=bending.hinges[~is_flat].astype(np.int32),
+        fold_sines=bending.sines[~is_flat].astype(np.float32),
+        fold_compliances=_fold_compliances(surface, bending)[~is_flat].astype(np.float32),
         max_strain=material.max_strain,
         wrinkle_strain=material.wrinkle_strain,
         geodesics=geodesics.astype(np.float32),
@@ -127,156 +239,10 @@ def cloth(
     )
 
 
-def _flat(points: np.ndarray) -> np.ndarray:
-    return np.column_stack([points, np.zeros(len(points))])
-
-
-def _fit_springs(points: np.ndarray, surface: trimesh.Trimesh, material: ClothMaterial) -> tuple[np.ndarray, np.ndarray]:
-    """Return springs (E, 2) along all edges, and across pairs of triangles that form a rectangle, with their stiffnesses [N/m].
-
-    A spring of stiffness k strained along u stores 1/2 k (d . u)^4 / |d|^2 with d its rest vector. The sheet prescribes
-    C_11 (cos^4 + sin^4) + 6 G cos^2 sin^2, where C_12 = G as in every network of springs, and E = C_11 - G^2 / C_11.
-    """
-    shear = 0.375 * material.stretch_stiffness if material.shear_stiffness is None else material.shear_stiffness
-    c11 = 0.5 * (material.stretch_stiffness + np.sqrt(material.stretch_stiffness**2 + 4.0 * shear**2))
-    target = np.array([0.75 * (c11 + shear), 0.0, 0.0, 0.25 * (c11 - 3.0 * shear), 0.0])
-    edges, members = surface.edges_unique, _faces_of_edges(surface)
-    across = surface.face_adjacency_unshared
-    along = points[surface.face_adjacency_edges[:, 1]] - points[surface.face_adjacency_edges[:, 0]]
-    diagonal = points[across[:, 1]] - points[across[:, 0]]
-    ratio = np.linalg.norm(diagonal, axis=1) / np.linalg.norm(along, axis=1)
-    is_rectangle = (ratio < RECTANGLE_RATIO) & (ratio > 1.0 / RECTANGLE_RATIO)
-    edges = np.concatenate([edges, np.sort(across[is_rectangle], axis=1)])
-    members = np.concatenate([members, surface.face_adjacency[is_rectangle]])
-    vector = points[edges[:, 1]] - points[edges[:, 0]]
-    length = np.linalg.norm(vector, axis=1, keepdims=True)
-    form = np.column_stack([vector**2, vector[:, 0] * vector[:, 1]]) / length
-    order = np.lexsort(edges.T[::-1])
-    members = np.where(members < 0, members[:, ::-1], members)  # a boundary spring belongs to its one triangle alone
-    return edges[order], fit_stiffness(form, members, surface.area_faces, target)[order]
-
-
-def _faces_of_edges(surface: trimesh.Trimesh) -> np.ndarray:
-    """Return the one or two triangles at each unique edge, (E, 2), -1 for none."""
-    members = np.full((len(surface.edges_unique), 2), -1, dtype=np.int64)
-    for face, edges in enumerate(surface.faces_unique_edges):
-        for edge in edges:
-            members[edge, int(members[edge, 0] >= 0)] = face
-    return members
-
-
-def _fit_bending(
-    points: np.ndarray, surface: trimesh.Trimesh, bend_stiffness: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Fit constraints that bend like a plate of the given rigidity [N m].
-
-    Hinges have the cotangent weights of isometric bending (Bergou et al. 2006): C = sum_k weight_k x_k is linear in the positions
-    and vanishes for all in-plane strains. Rolled up along u with curvature kappa it measures kappa times
-    sum_k weight_k (u . x_k)^2 / 2. Where two right angles meet at a side, as in a square grid, a hinge sees but three nodes of
-    a row; triples x_p - 2 x_m + x_n of all rows and columns take their place, so that no node is left free to bend.
-
-    Free boundaries carry no moment: constraints that reach beyond them take part in the fit and are dropped.
-
-    Returns:
-        hinges: (H, 4), with weights (H, 4) and stiffnesses (H,) [N/m].
-        triples: (T, 3), with stiffnesses (T,) [N/m].
-    """
-    if bend_stiffness == 0.0:
-        return np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0), np.zeros((0, 3), np.int64), np.zeros(0)
-    faces_of_edges = _faces_of_edges(surface)
-    corners, hinge_faces = _hinges_with_mirrored(points, surface, faces_of_edges)
-    weights = _hinge_weights(corners)
-    is_row = np.abs(weights[:, :2]).min(axis=1) < 1e-5 * np.abs(weights).max(axis=1)
-    triples, row_vectors, row_members = _rows(points, surface, faces_of_edges) if is_row.any() else _no_rows()
-    is_row &= len(triples) > 0  # right angles of a lattice that is turned out of the axes belong to no row
-    num_inner = len(surface.face_adjacency)
-    kept = np.flatnonzero(~is_row)
-    centered = corners - corners.mean(axis=1, keepdims=True)
-    products = np.stack([centered[..., 0] ** 2, centered[..., 1] ** 2, centered[..., 0] * centered[..., 1]], axis=-1)
-    form = 0.5 * (weights[..., None] * products).sum(axis=1)[kept]
-    members = np.repeat(hinge_faces[kept], 2, axis=1)
-
-    row_form = np.column_stack([row_vectors**2, row_vectors[:, 0] * row_vectors[:, 1]])
-    target = quartic_coefficients(np.array([[1.0, 1.0, 0.0]]))[0] * bend_stiffness
-    stiffness = fit_stiffness(
-        np.concatenate([form, row_form]), np.concatenate([members, row_members]), surface.area_faces, target
-    )
-    is_hinge = kept < num_inner
-    is_triple = triples[:, 2] >= 0
-    hinges = np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])[kept[is_hinge]]
-    hinge_stiffness, row_stiffness = stiffness[: len(kept)], stiffness[len(kept) :]
-    return hinges, weights[kept[is_hinge]], hinge_stiffness[is_hinge], triples[is_triple], row_stiffness[is_triple]
-
-
-def _hinges_with_mirrored(
-    points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return corners (H, 4, 2) and triangles (H, 2) of all hinges, then those of boundary edges with a mirrored triangle."""
-    boundary = np.flatnonzero(faces_of_edges[:, 1] < 0)
-    rim, rim_face = surface.edges_unique[boundary], faces_of_edges[boundary, 0]
-    apex = np.array([np.setdiff1d(surface.faces[f], e)[0] for f, e in zip(rim_face, rim, strict=True)])
-    mirrored = np.stack([points[rim[:, 0]], points[rim[:, 1]], points[apex], points[apex]], axis=1)
-    along = mirrored[:, 1] - mirrored[:, 0]
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
-    height = ((mirrored[:, 2] - mirrored[:, 0]) * normal).sum(axis=1, keepdims=True)
-    mirrored[:, 3] = mirrored[:, 2] - 2.0 * height * normal
-    inner = points[np.column_stack([surface.face_adjacency_edges, surface.face_adjacency_unshared])]
-    faces = np.concatenate([surface.face_adjacency, np.column_stack([rim_face, np.full(len(rim), -1)])])
-    return np.concatenate([inner, mirrored]), faces
-
-
-def _rows(points: np.ndarray, surface: trimesh.Trimesh, faces_of_edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return triples of nodes in the rows and columns of a square grid.
-
-    Where a row ends at a node its last edge alone counts, with -1 as the third node.
-
-    Returns:
-        triples: (previous, middle, next), (T, 3).
-        vectors: From the middle to the next node, or to the previous one, (T, 2) [m].
-        members: Triangles at the two edges, those at the boundary twice, -1 beyond the end, (T, 4).
-    """
-    vector = points[surface.edges_unique[:, 1]] - points[surface.edges_unique[:, 0]]
-    straight = np.flatnonzero(np.abs(vector).min(axis=1) < 1e-6 * np.abs(vector).max(axis=1))
-    around: dict[tuple[int, int, int], tuple[int, int]] = {}  # (node, axis, sign) -> (neighbor, edge)
-    for edge in straight:
-        axis = int(np.abs(vector[edge]).argmax())
-        sign = int(np.sign(vector[edge, axis]))
-        first, second = (int(node) for node in surface.edges_unique[edge])
-        around[first, axis, sign], around[second, axis, -sign] = (second, edge), (first, edge)
-    triples, vectors, members = [], [], []
-    for (node, axis, sign), (neighbor, edge) in sorted(around.items()):
-        step = points[neighbor] - points[node]
-        other, other_edge = around.get((node, axis, -sign), (-1, -1))
-        is_even = other >= 0 and np.linalg.norm(points[other] - points[node] + step) < 1e-3 * np.linalg.norm(step)
-        faces = faces_of_edges[edge]
-        faces = np.where(faces < 0, faces[::-1], faces)
-        if is_even and sign > 0:
-            other_faces = faces_of_edges[other_edge]
-            triples.append([other, node, neighbor])
-            members.append([*faces, *np.where(other_faces < 0, other_faces[::-1], other_faces)])
-        elif not is_even:
-            triples.append([neighbor, node, -1])
-            members.append([*faces, -1, -1])
-        else:
-            continue
-        vectors.append(step)
-    return (np.array(triples), np.array(vectors), np.array(members)) if triples else _no_rows()
-
-
-def _no_rows() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return np.zeros((0, 3), np.int64), np.zeros((0, 2)), np.zeros((0, 4), np.int64)
-
-
-def _hinge_weights(corners: np.ndarray) -> np.ndarray:
-    """Return the weights of hinges with planar corners (H, 4, 2): edge 0-1, opposite nodes 2 and 3."""
-
-    def cotangent(at: int, a: int, b: int) -> np.ndarray:
-        p, q = corners[:, a] - corners[:, at], corners[:, b] - corners[:, at]
-        return (p * q).sum(axis=1) / np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0])
-
-    c01, c02 = cotangent(0, 1, 2), cotangent(0, 1, 3)
-    c03, c04 = cotangent(1, 0, 2), cotangent(1, 0, 3)
-    return np.column_stack([c03 + c04, c01 + c02, -c01 - c03, -c02 - c04])
+def _fold_compliances(surface: Surface, bending: Bending) -> np.ndarray:
+    """Return inverse stiffnesses against sin(theta / 2) [1/(N m)]: a hinge on the edge e has |C| = 2 |e| sin(theta / 2)."""
+    along = surface.points[bending.hinges[:, 1]] - surface.points[bending.hinges[:, 0]]
+    return 1.0 / (4.0 * (along**2).sum(axis=1) * bending.hinge_stiffness)
 
 
 def _name_nodes(mesh: PlanarMesh) -> dict[str, np.ndarray]:

@@ -52,11 +52,19 @@ class Model:
     mesh_edges: np.ndarray | None = None
     """Edges of the triangles, (E', 2) int32, for a cloth whose `edges` also hold springs across; None where they are the same."""
     hinges: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int32))
-    """Two nodes of an edge and the two opposite it, each a bend constraint C = sum_k weight_k x_k, (H, 4) int32."""
+    """Two nodes of an edge and the two opposite it, each a bend constraint C = sum_k weight_k x_k, (H, 4) int32. On a rope whose
+    segments differ: previous, middle, next and again the previous node, without weight."""
     hinge_weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
     """Weights of the hinges, dimensionless; C vanishes for every affine image of the rest shape. (H, 4) float32."""
     hinge_compliances: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     """Inverse stiffnesses of the hinges, (H,) float32 [m/N]."""
+    folds: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int32))
+    """Nodes as of hinges whose two triangles are folded at rest, each a bend constraint C = sin(theta / 2) - sin(theta_0 / 2) on
+    the angle theta between them, (D, 4) int32."""
+    fold_sines: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    """sin(theta_0 / 2) of the folds, positive towards the normals, (D,) float32."""
+    fold_compliances: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    """Inverse stiffnesses of the folds, (D,) float32 [1/(N m)]."""
     max_strain: float = np.inf
     """Strain at which the weave locks: held nodes keep all others within (1 + max_strain) of their distance through the cloth."""
     wrinkle_strain: float = np.inf

@@ -25,6 +25,7 @@ def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self
         ropes=any(model.is_rope for model in models),
         bends=any(len(model.bends) > 0 for model in models),
         hinges=any(len(model.hinges) > 0 for model in models),
+        folds=any(len(model.folds) > 0 for model in models),
         tethers=any(np.isfinite(model.max_strain) for model in models),
         colliders=len(colliders) > 0,
         self_contact=self_collision,
@@ -78,6 +79,11 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.hinge_ranges, objects.hinge_colors, objects.hinges = array(ranges, int), array(colors, int), array(nodes, wp.vec4i)
     objects.hinge_weights, objects.hinge_compliances = array(weights, wp.vec4), array(compliances, float)
 
+    folds = [(model.folds, model.fold_sines, model.fold_compliances) for model in models]
+    ranges, colors, (nodes, sines, compliances) = _by_color(folds)
+    objects.fold_ranges, objects.fold_colors, objects.folds = array(ranges, int), array(colors, int), array(nodes, wp.vec4i)
+    objects.fold_sines, objects.fold_compliances = array(sines, float), array(compliances, float)
+
     surface_edges = [(model.surface_edges,) for model in models]
     ranges, colors, (nodes,) = _by_color(surface_edges)
     objects.mesh_edge_ranges, objects.mesh_edge_colors = array(ranges, int), array(colors, int)
@@ -89,7 +95,8 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.elements = array(np.concatenate(elements), wp.vec3i)
     objects.owner_counts = array([model.num_nodes - model.is_rope for model in models], int)
     objects.is_rope = array([model.is_rope for model in models], wp.bool)
-    lengths = [float(model.rest_lengths.mean()) for model in models]
+    # Segments of a rope that share a node always touch, however long they are.
+    lengths = [float(model.rest_lengths.max() if model.is_rope else model.rest_lengths.mean()) for model in models]
     exclusions = [
         EXCLUSION_RADII * model.radius + EXCLUSION_EDGES * length for model, length in zip(models, lengths, strict=True)
     ]
@@ -188,13 +195,13 @@ def _elements(model: Model) -> np.ndarray:
     if model.is_rope:
         return model.edges[:, [0, 1, 1]]
     centroids = model.rest_positions[model.faces].mean(axis=1)
-    return model.faces[np.argsort(_z_order(centroids[:, :2]), kind="stable")]
+    return model.faces[np.argsort(_z_order(centroids), kind="stable")]
 
 
 def _z_order(points: np.ndarray) -> np.ndarray:
-    """Return keys (P,) int64 that sort points (P, 2) along a curve that fills the plane (Morton 1966)."""
+    """Return keys (P,) int64 that sort points (P, 3) along a curve that fills space (Morton 1966)."""
     low = points.min(axis=0)
     cells = ((points - low) / max(np.ptp(points, axis=0).max(), 1e-9) * 1023.0).astype(np.int64)
     bits = np.arange(10)
-    spread = ((cells[:, :, None] >> bits) & 1) << (2 * bits)
-    return spread[:, 0].sum(axis=1) | (spread[:, 1].sum(axis=1) << 1)
+    spread = ((cells[:, :, None] >> bits) & 1) << (3 * bits)
+    return (spread.sum(axis=2) << np.arange(3)).sum(axis=1)

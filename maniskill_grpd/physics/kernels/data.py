@@ -47,6 +47,7 @@ class Features:
     ropes: bool = False
     bends: bool = False
     hinges: bool = False
+    folds: bool = False
     tethers: bool = False
     colliders: bool = False
     self_contact: bool = False
@@ -79,6 +80,11 @@ class Objects:
     hinges: wp.array(dtype=wp.vec4i)
     hinge_weights: wp.array(dtype=wp.vec4)
     hinge_compliances: wp.array(dtype=float)
+    fold_ranges: wp.array(dtype=int)
+    fold_colors: wp.array(dtype=int)
+    folds: wp.array(dtype=wp.vec4i)
+    fold_sines: wp.array(dtype=float)
+    fold_compliances: wp.array(dtype=float)
     geodesics: wp.array3d(dtype=float)  # through the material between all nodes, by variant
     # Edges that touch colliders with all their length.
     longest_edges: wp.array(dtype=float)

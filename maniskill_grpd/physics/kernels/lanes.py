@@ -86,6 +86,22 @@ def _divide_vectors(a: Vectors, b: Numbers) -> Vectors: ...
 def _inner_product(a: Vectors, b: Vectors) -> Numbers: ...
 
 
+@wp.func_native(
+    f"""
+    {_LANE_TYPE}
+    wp::vec_t<{3 * WIDTH}, float> result;
+    const lane_t* first = (const lane_t*)&a;
+    const lane_t* second = (const lane_t*)&b;
+    lane_t* product = (lane_t*)&result;
+    product[0] = first[1] * second[2] - first[2] * second[1];
+    product[1] = first[2] * second[0] - first[0] * second[2];
+    product[2] = first[0] * second[1] - first[1] * second[0];
+    return result;
+    """
+)
+def _cross_product(a: Vectors, b: Vectors) -> Vectors: ...
+
+
 @wp.func_native(_snippet("__builtin_elementwise_sqrt(A)", Numbers, a=Numbers))
 def _square_root(a: Numbers) -> Numbers: ...
 
@@ -188,6 +204,18 @@ def inner(a: Vectors, b: Vectors):
 def inner(a: wp.vec3, b: wp.vec3):  # noqa: F811
     """Return the inner product a . b."""
     return wp.dot(a, b)
+
+
+@wp.func
+def cross(a: Vectors, b: Vectors):
+    """Return the vector product a x b."""
+    return _cross_product(a, b)
+
+
+@wp.func
+def cross(a: wp.vec3, b: wp.vec3):  # noqa: F811
+    """Return the vector product a x b."""
+    return wp.cross(a, b)
 
 
 @wp.func

@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.bending import project_bends, project_hinges
+from maniskill_grpd.physics.kernels.bending import project_bends, project_folds, project_hinges
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import place_collider_bounds, project_colliders
 from maniskill_grpd.physics.kernels.contact_phases import (
@@ -81,6 +81,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             project_bends(thread, objects, groups)
         if wp.static(features.hinges):
             project_hinges(thread, objects, groups)
+        if wp.static(features.folds):
+            project_folds(thread, objects, groups)
         if wp.static(features.tethers):
             project_tethers(thread, objects, worlds, groups)
         for color in range(objects.line_ranges[thread.variant], objects.line_ranges[thread.variant + 1] - 1):

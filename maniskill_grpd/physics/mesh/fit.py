@@ -35,7 +35,7 @@ def fit_stiffness(form: np.ndarray, members: np.ndarray, areas: np.ndarray, targ
     """Fit non-negative stiffnesses to a sheet.
 
     Args:
-        form: Quadratic form of each spring or hinge as (S_xx, S_yy, S_xy), (C, 3).
+        form: Quadratic form of each spring or hinge as (S_xx, S_yy, S_xy) in the frame of each of its triangles, (C, S, 3).
         members: Triangles that share the energy of each equally, (C, S) int; -1 for one that is missing beyond a boundary, whose
             share is then lost.
         areas: Areas of the triangles, (F,) [m^2].
@@ -44,8 +44,8 @@ def fit_stiffness(form: np.ndarray, members: np.ndarray, areas: np.ndarray, targ
     Returns:
         Stiffness of each, (C,) in the unit of target * area / form^2.
     """
-    expanded = quartic_coefficients(form)
-    scale = target[0] * areas.mean() / expanded[:, 0]  # unknowns of order one
+    expanded = np.stack([quartic_coefficients(form[:, side]) for side in range(members.shape[1])], axis=1)
+    scale = target[0] * areas.mean() / expanded[:, 0, 0]  # unknowns of order one
     num_constraints, num_shares = members.shape
     rows, columns, values = [], [], []
     for side in range(num_shares):
@@ -55,7 +55,7 @@ def fit_stiffness(form: np.ndarray, members: np.ndarray, areas: np.ndarray, targ
         for term in range(5):
             rows.append(5 * face + term)
             columns.append(index)
-            values.append(weight * expanded[index, term])
+            values.append(weight * expanded[index, side, term])
     shape = (5 * len(areas), num_constraints)
     matrix = coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape).tocsr()
     wanted = (np.sqrt(areas / areas.mean())[:, None] * target / target[0]).ravel()
