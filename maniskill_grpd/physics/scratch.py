@@ -127,10 +127,11 @@ def allocate_touch(num_worlds: int, num_nodes: int, used: bool, device: torch.de
     return touch
 
 
-def allocate_self_contacts(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> SelfContacts:
+def allocate_self_contacts(models: Sequence[Model], num_worlds: int, used: bool, device: torch.device) -> SelfContacts:
     """Allocate the slots for contacts of objects with themselves."""
-    nodes = num_nodes if used else 1
-    slots, elements = nodes * SLOTS, 2 * nodes  # a cloth has less than two triangles for each node
+    nodes = max(model.num_nodes for model in models) if used else 1
+    elements = max(max(len(model.faces), len(model.edges)) for model in models) if used else 1
+    slots = nodes * SLOTS
     blocks = elements // BLOCK + 1
     shapes = {
         "nodes": ((slots,), wp.vec4i),

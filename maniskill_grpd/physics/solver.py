@@ -340,7 +340,7 @@ class Solver(WorldState):
             if field.struct is not None and tensor.numel():
                 setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
         touch = allocate_touch(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
-        contacts = allocate_self_contacts(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
+        contacts = allocate_self_contacts(self.models, self.num_worlds, self._features.self_contact, self.device)
         timings = upload_timings(self.substeps, self.control_dt, device)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
         self._uploaded = [objects, colliders, meshes, worlds, touch, contacts]  # alive as long as launches refer to it

@@ -205,6 +205,29 @@ def test_a_closed_mesh_is_cloth():
     assert not solver.frozen.any()
 
 
+def pierced_slab():
+    """Return the triangles (F, 3, 3) around a slab of 7 x 3 cubes, two of which are missing: a closed surface of genus 2."""
+    cubes = {(i, j, 0) for i in range(7) for j in range(3)} - {(1, 1, 0), (5, 1, 0)}
+    quads = []
+    for cube in cubes:
+        for axis in range(3):
+            for side in (-1, 1):
+                if tuple(np.add(cube, side * np.eye(3, dtype=int)[axis])) not in cubes:
+                    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+                    quads.append(np.insert(corners, axis, (side + 1) // 2, axis=1) + cube)
+    return 0.03 * np.concatenate([np.array(quads)[:, [0, 1, 2]], np.array(quads)[:, [0, 2, 3]]])
+
+
+def test_a_cloth_may_have_more_than_two_faces_for_each_node():
+    """There is room for the contacts of all triangles."""
+    triangles = pierced_slab()
+    model = cloth_from_mesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+    assert len(model.faces) == 2 * model.num_nodes + 4
+    solver = Solver(model, 3, 1, self_collision=True)
+    assert np.isfinite(run(solver, 10)).all()
+    assert not solver.frozen.any()
+
+
 def test_node_sets_follow_merged_vertices():
     points, faces = tube()
     soup = points[faces].reshape(-1, 3)

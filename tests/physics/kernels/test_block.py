@@ -5,8 +5,9 @@ import ctypes
 import numpy as np
 import pytest
 import torch
+import trimesh
 
-from maniskill_grpd.physics import Solver, box, cloth, cylinder, rope, square_outline
+from maniskill_grpd.physics import Solver, box, cloth, cloth_from_mesh, cylinder, rope, square_outline
 from maniskill_grpd.physics.kernels.block import count_up, synchronize_block
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 
@@ -26,10 +27,13 @@ NO_BARRIER = f"((void(*)()){YIELD}UL)();"
 COUNTER = "return __atomic_fetch_add(wp::address(counts, i, j), 1, __ATOMIC_ACQ_REL);"
 ROPE = rope(np.linspace([0.0, 0.0, 0.05], [0.4, 0.0, 0.05], 21), num_nodes=21)
 CLOTH = cloth(square_outline(0.3), num_nodes=49)
+BALL = trimesh.creation.icosphere(1, 0.1)
+CURVED = cloth_from_mesh(BALL.vertices + [0.0, 0.0, 0.11], BALL.faces)
 OBSTACLES = [box(0.05, 0.05, 0.04), cylinder(0.03, 0.1)]
 SCENES = {
     "rope": (ROPE, {}),
     "cloth": (CLOTH, {"patch_radius": 0.05}),
+    "curved cloth": (CURVED, {}),
     "colliders": (CLOTH, {"colliders": OBSTACLES}),
     "self-contact": (CLOTH, {"self_collision": True}),
     "rope on itself": (ROPE, {"self_collision": True, "colliders": OBSTACLES}),

@@ -8,7 +8,7 @@ import warp as wp
 from maniskill_grpd.physics.kernels.data import Features
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 
-EVERYTHING = Features(ropes=True, bends=True, hinges=True, tethers=True, colliders=True, self_contact=True)
+EVERYTHING = Features(ropes=True, bends=True, hinges=True, folds=True, tethers=True, colliders=True, self_contact=True)
 
 
 @pytest.mark.skipif(sys.platform == "darwin", reason="Warp has no CUDA compiler there")
