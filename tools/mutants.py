@@ -90,7 +90,7 @@ MUTANTS = (
     ),
     Mutant(
         "seeding some worlds leaves the generator of their later episodes",
-        "maniskill_grpd/tasks/deformable_env.py",
+        "maniskill_grpd/tasks/worlds/seeded_worlds.py",
         "        self._batched_main_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs\n",
         "",
         "tests/tasks/test_deformable_env.py -k later_episodes",

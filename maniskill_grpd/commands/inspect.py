@@ -16,58 +16,18 @@ and prints how evenly the influence of the nodes is spread. Works for every poli
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-
-import torch
 
 from maniskill_grpd.commands.run_command import run_command
-from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.runs.checkpoints import load_policy
-from maniskill_grpd.runs.inspection import play_episode
-from maniskill_grpd.runs.inspection_figures import write_inspection
-from maniskill_grpd.runs.play import change_task
-from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
+from maniskill_grpd.runs.policy_inspection import InspectionConfig, inspect_policy
 
 
-@dataclass(frozen=True, kw_only=True)
-class InspectConfig:
-    """Options of an inspection."""
-
-    checkpoint: Path
-    """the checkpoint of the policy"""
-    output: Path | None = None
-    """folder of the pictures; by default that of the checkpoint"""
-    seed: int = FIRST_TEST_SEED
-    """seed of the episode"""
-    steps: tuple[int, ...] = (0, 15, 30)
-    """steps of the episode at which nodes are examined"""
-    env_id: str | None = None
-    """id of the task, if not the one of the training"""
-    env_kwargs: tuple[str, ...] = ()
-    """options of the task as key=value pairs that replace or extend those of the training"""
-    allow_import: bool = False
-    """whether the id of the task in the checkpoint may be of the form module:id, which runs the code of that module"""
-    sim_backend: str = "cpu"
-    """where the simulation runs"""
-
-    def __post_init__(self) -> None:
-        if not self.steps or min(self.steps) < 0:
-            raise ValueError(f"steps must be at least one number >= 0, got {self.steps}")
-
-
-def inspect(config: InspectConfig) -> None:
-    """Examine as configured, and say where the pictures are."""
-    torch.set_num_threads(1)
-    policy, contents = load_policy(config.checkpoint, allow_import=config.allow_import)
-    task = change_task(TrainConfig.from_dict(contents["train_config"]), config.env_id, config.env_kwargs, config.sim_backend)
-    graphs = play_episode(policy, task, config.seed)
-    steps = sorted({min(step, len(graphs) - 1) for step in config.steps})
-    paths, lines = write_inspection(policy, graphs, steps, config.output or config.checkpoint.parent)
+def inspect_and_report(config: InspectionConfig) -> None:
+    """Examine, and say what was found and where the pictures are."""
+    lines, paths = inspect_policy(config)
     print("\n".join(lines))
     print("pictures: " + ", ".join(map(str, paths)))
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the command."""
-    return run_command(inspect, InspectConfig, arguments)
+    return run_command(inspect_and_report, InspectionConfig, arguments)

@@ -17,7 +17,7 @@ from maniskill_grpd.program import PROGRAM
 
 Config = TypeVar("Config")
 
-MENDABLE = (ValueError, OSError, CheckpointError, NonFiniteError)
+USER_ERRORS = (ValueError, OSError, CheckpointError, NonFiniteError)
 """What the library raises where the user can help: the message says what was given and what is allowed."""
 
 SIDES, RULES = " │", "─-"
@@ -48,7 +48,7 @@ def report_errors(run: Callable[[], Any]) -> int:
         result = run()
     except UsageError as error:
         return _report(error, 2)
-    except MENDABLE as error:
+    except USER_ERRORS as error:
         return _report(error, 1)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -4,12 +4,9 @@ maniskill-grpd train --env_id RopeShaping-v1 --policy grpd --algorithm bpp --num
 
 Everything goes to runs/{exp_name}/: config.json, metrics.jsonl, TensorBoard events, last.pt, best_ckpt.pt, final_ckpt.pt,
 learning_curve.png and a video. Ctrl-C, SIGTERM and SIGHUP end a run after the iteration, with a checkpoint. A run that was
-stopped goes on with --resume runs/{exp_name}.
-
-With --allow_import a resumed run may name its task as module:id, which runs the code of that module.
+stopped goes on with --resume runs/{exp_name}; with --allow_import its task may be module:id, which runs the code of that module.
 
 One process per core is the fast way on a CPU; num_envs is then shared among the processes:
-
 torchrun --nproc_per_node=2 -m maniskill_grpd train --env_id RopeShaping-v1 --exp_name two_processes
 """
 
@@ -21,20 +18,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from maniskill_grpd.commands.run_command import parse_options, report_errors
-from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.learning import TrainConfig, TrainingStoppedError
 from maniskill_grpd.learning.allocator import keep_freed_memory
-from maniskill_grpd.learning.stopping import TrainingStoppedError
 from maniskill_grpd.learning.workers import leave_workers
 from maniskill_grpd.program import command_line
 from maniskill_grpd.runs.resumption import resumed_options
 from maniskill_grpd.runs.stop_request import stop_request
 from maniskill_grpd.runs.training import train
 
-ALLOW_IMPORT = "--allow_import"
-"""No option of a training, and so none of its record: whether a resumed run may name its task as module:id."""
 
-
-def train_and_report(config: TrainConfig) -> int:
+def train_and_report(config: TrainConfig) -> int | None:
     """Train, and say what can be done with the result."""
     with stop_request() as request:
         try:
@@ -44,16 +37,18 @@ def train_and_report(config: TrainConfig) -> int:
             print(f"{stopped}{goes_on}", file=sys.stderr)
             return request.exit_code
     print(f"done: {command_line(['evaluate', '--checkpoint', str(run_dir / 'final_ckpt.pt')])}")
-    return 0
 
 
 def parse_train_options(arguments: Sequence[str]) -> TrainConfig:
     """Parse the words after `train`; where they are silent, the options of a resumed run or the defaults stand."""
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--resume", type=Path)
-    resumed = finder.parse_known_args(arguments)[0].resume
-    default = TrainConfig() if resumed is None else resumed_options(resumed, allow_import=ALLOW_IMPORT in arguments)
-    return parse_options(__name__, TrainConfig, [word for word in arguments if word != ALLOW_IMPORT], default)
+    finder.add_argument("--allow_import", "--allow-import", action="store_true")  # no option of a training, nor of its record
+    found, words = finder.parse_known_args(arguments)
+    if found.resume is None:
+        return parse_options(__name__, TrainConfig, words, TrainConfig())
+    default = resumed_options(found.resume, allow_import=found.allow_import)
+    return parse_options(__name__, TrainConfig, [*words, "--resume", str(found.resume)], default)
 
 
 def main(arguments: Sequence[str]) -> int:

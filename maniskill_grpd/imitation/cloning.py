@@ -147,6 +147,7 @@ def save_clone(path: Path, policy: Policy, config: CloneConfig, num_observations
         "weights": policy.state_dict(),
         # A training that starts from here has an optimizer and scales of returns of its own.
         "optimizer": {},
+        "algorithm": {},
         "value_scale": ValueScale().state_dict(),
         "generators": {},
         "train_config": config.train_config(policy.name).to_dict(),

@@ -6,6 +6,7 @@ from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.projection import project_gaussian
 from maniskill_grpd.learning.protocols import ActorCritic, GraphVecEnv
+from maniskill_grpd.learning.stopping import TrainingStoppedError
 from maniskill_grpd.learning.trainer import Trainer
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "NonFiniteError",
     "TrainConfig",
     "Trainer",
+    "TrainingStoppedError",
     "evaluate_policy",
     "load_checkpoint",
     "project_gaussian",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Mapping
 from typing import Any
@@ -55,7 +56,7 @@ def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) 
 def check_task(env_id: str, options: Mapping[str, Any]) -> None:
     """Refuse a task that does not exist, options it does not take, and observations that no policy understands.
 
-    A task of the form module:id is looked for when it is made, which imports the module.
+    A task of the form module:id is looked for in that module, which is imported.
 
     Raises:
         ValueError: Naming what is allowed.
@@ -63,8 +64,9 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
     obs_mode = options.get("obs_mode", "graph")
     if "graph" not in str(obs_mode).split("+"):
         raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {obs_mode!r}")
-    if ":" in env_id:
-        return
+    module, _, env_id = env_id.rpartition(":")
+    if module:
+        _import_tasks(module)
     tasks = {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}
     if env_id not in tasks:
         raise ValueError(f"there is no task {env_id!r} of deformable objects; there are {', '.join(sorted(tasks))}")
@@ -72,6 +74,18 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
     unknown = sorted(set(options) - known)
     if unknown:
         raise ValueError(f"{env_id} does not take the option(s) {', '.join(unknown)}; it takes {', '.join(sorted(known))}")
+
+
+def _import_tasks(module: str) -> None:
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name not in (module, module.partition(".")[0]):
+            raise  # what the module itself imports is missing
+        raise ValueError(
+            f"there is no module {module!r} with tasks; install it, or run `python -m maniskill_grpd` in its folder, "
+            "which Python then searches"
+        ) from error
 
 
 def known_options(task: type[DeformableEnv]) -> set[str]:

@@ -6,12 +6,9 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import sapien
 import torch
-from mani_skill.envs.utils.randomization.batched_rng import BatchedRNG
-from mani_skill.utils import common
 from mani_skill.utils.structs.types import SimConfig
 
 from maniskill_grpd.graphs import Channel
@@ -24,7 +21,6 @@ from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
 from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, gripper_teams
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
-from maniskill_grpd.tasks.options.seeds import expand_seeds
 from maniskill_grpd.tasks.options.substeps import check_substeps
 from maniskill_grpd.tasks.pictures.painters import choose_painter
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
@@ -33,6 +29,7 @@ from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_starts import EpisodeStarts
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.worlds.restorable_worlds import RestorableWorlds
+from maniskill_grpd.tasks.worlds.seeded_worlds import SeededWorlds
 
 POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
@@ -42,7 +39,7 @@ OUT_OF_REACH = 100.0
 """How far below the origin the table of a task without one is [m]."""
 
 
-class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictures):
+class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictures):
     """A batch of worlds in which floating grippers manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
@@ -278,45 +275,6 @@ class DeformableEnv(EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictur
         return self._episode.allocate(name, *shape, kind=kind)
 
     # ------------------------------------------------------------------ reset
-
-    def reset(self, seed: int | Sequence[int] | None = None, options: dict | None = None) -> tuple[Any, dict]:
-        """Start new episodes in all worlds, or in those of `options["env_idx"]`.
-
-        Args:
-            seed: One seed for each world being reset; one number seeds the first, the others follow
-                from it. None goes on with the random numbers of each world.
-            options: As ManiSkill's `BaseEnv.reset` understands them. `env_idx` is indices (b,) or a mask (B,) of worlds; if it
-                names none, nothing happens.
-
-        Raises:
-            ValueError: If a seed is no whole number, their number fits neither, or there is no such world.
-        """
-        worlds = None if options is None else options.get("env_idx")
-        if worlds is not None:
-            worlds = self._world_indices(worlds)
-            options = {**options, "env_idx": worlds}
-        seeds = None if seed is None else expand_seeds(seed, self.num_envs if worlds is None else len(worlds))
-        self._adopt_compute_device()
-        if worlds is not None and not len(worlds):
-            info = self.get_info()
-            return self.get_obs(info), info | {"reconfigure": False}
-        if seeds is None:
-            return super().reset(options=options)
-        if worlds is None:
-            gym.Env.reset(self, seed=seeds[0])  # sets `np_random`, for those who draw from it
-            return super().reset(seed=seeds, options=options)
-        self._seed_worlds(seeds, common.to_numpy(worlds))
-        determinism, self._enhanced_determinism = self._enhanced_determinism, False
-        try:
-            return super().reset(options=options)
-        finally:
-            self._enhanced_determinism = determinism
-
-    def _seed_worlds(self, seeds: list[int], worlds: np.ndarray) -> None:
-        """Seed some worlds. ManiSkill would seed all, and so change the others' next episodes."""
-        self._batched_main_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
-        self._batched_episode_rng[worlds] = BatchedRNG.from_seeds(seeds).rngs
-        self._episode_seed[worlds] = seeds
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict) -> None:
         worlds = self._world_indices(env_idx)

@@ -1,4 +1,4 @@
-"""Options: defaults, derived numbers, and messages that say how to mend them."""
+"""Options: defaults, derived numbers, and messages that say what is allowed."""
 
 import dataclasses
 import math

@@ -63,6 +63,8 @@ def test_names_that_lead_out_of_the_folder_of_runs_are_refused(name):
     ("words", "message"),
     [
         (["--env_id", "RopeShapng-v1"], "there is no task 'RopeShapng-v1'"),
+        (["--env_id", "no_such_module:Task-v1"], "there is no module 'no_such_module' with tasks; install it, or run"),
+        (["--env_id", "json:Task-v1"], "there is no task 'Task-v1'"),
         (["--env_id", "PickCube-v1"], "there are ClothFolding-v1"),
         (["--env_kwargs", "colour=red"], "RopeShaping-v1 does not take the option(s) colour; it takes "),
         (["--env_kwargs", "obs_mode=state"], "obs_mode must be graph"),

@@ -7,22 +7,8 @@ import warp as wp
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.colliders import FAR, local_distance, local_high, local_low, place_collider
 from maniskill_grpd.physics.kernels.data import Colliders, Objects, PlacedCollider, Thread, Worlds
-from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
-    add,
-    any_positive,
-    choose,
-    component,
-    div,
-    greater,
-    inner,
-    lesser,
-    mul,
-    pick,
-    put,
-    root,
-    spread,
-    sub,
-)
+from maniskill_grpd.physics.kernels.lane_access import component, pick, put
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, greater, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Evaluations of the signed distance along one motion; conservative advancement of a sphere needs about five.
 SWEEP_STEPS = wp.constant(12)

@@ -15,7 +15,7 @@ from maniskill_grpd.physics.kernels.contact_search import (
     sort_contacts,
 )
 from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Timing, Touch, Worlds
-from maniskill_grpd.physics.kernels.lanes import pick, put
+from maniskill_grpd.physics.kernels.lane_access import pick, put
 from maniskill_grpd.physics.kernels.self_contact import SLOTS, compute_contact_impulse, gather_contact_impulses
 
 

@@ -8,7 +8,8 @@ from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import resolve_contact
 from maniskill_grpd.physics.kernels.data import Objects, Thread, Timing, Worlds
 from maniskill_grpd.physics.kernels.grippers import is_valid
-from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, pick, put, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lane_access import pick, put
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, spread, sub  # noqa: F401 (operators on lanes)
 
 
 @wp.func

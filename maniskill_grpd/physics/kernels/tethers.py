@@ -6,7 +6,8 @@ import warp as wp
 
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.data import Objects, Thread, Worlds
-from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, pick, put, root, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lane_access import pick, put
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Length of the tether of a gripper that holds nothing [m].
 NO_TETHER = wp.constant(1.0e9)

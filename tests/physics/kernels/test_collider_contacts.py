@@ -9,7 +9,7 @@ from maniskill_grpd.physics import Solver, box, capsule, cylinder, plane, prism,
 from maniskill_grpd.physics.kernels.collider_contacts import bound_distance, place_collider_bounds
 from maniskill_grpd.physics.kernels.colliders import collider_distance
 from maniskill_grpd.physics.kernels.data import Colliders, LaneGroups
-from maniskill_grpd.physics.kernels.lanes import component
+from maniskill_grpd.physics.kernels.lane_access import component
 
 TETRAHEDRON = np.array([[0.1, 0.0, 0.0], [0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [0.1, 0.0, 0.1]])  # its own origin lies outside
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])

@@ -3,6 +3,7 @@
 import numpy as np
 import warp as wp
 
+from maniskill_grpd.physics.kernels.lane_access import pick, put
 from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
     WIDTH,
     Numbers,
@@ -15,8 +16,6 @@ from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on l
     inner,
     lesser,
     mul,
-    pick,
-    put,
     root,
     spread,
     sub,
