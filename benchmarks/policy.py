@@ -3,11 +3,13 @@
 python benchmarks/policy.py [--quick] [--json FILE]
 
 Subjects: the four policies at their default sizes (equal numbers of parameters within 10 %); EMPN
-at GRPD's width; GRPD with the same weights and the same kernel but a message formed on every edge
-and then summed (eq. 2 as written); and an outside peer, an equivariant message passing layer of
-PyTorch Geometric (ViS_MP of ViSNet) of GRPD's width on the same edges, if torch_geometric is
-installed. Each forward pass gives distribution and value of a batch of ropes; the backward pass
-is that of log-probability plus value, to all parameters.
+at GRPD's width; GRPD with messages that do not know their receiver (as wide as fits the number of
+parameters), with harmonics of degree 2 or with three radial functions along mesh edges; GRPD with
+the same weights and the same kernel but a message formed on every edge and then summed (eq. 2 as
+written); and an outside peer, an equivariant message passing layer of PyTorch Geometric (ViS_MP of
+ViSNet) of GRPD's width on the same edges, if torch_geometric is installed. Each forward pass gives
+distribution and value of a batch of ropes; the backward pass is that of log-probability plus value,
+to all parameters.
 
 Other programs may run on the machine: on a CPU the time is that of one thread's own processor
 time, which does not count waiting for a core; in each repeat all subjects take turns, and a ratio
@@ -41,6 +43,12 @@ MAX_ACTUATORS = 4
 LARGE = 1000
 """Number of nodes at which the number of actuators is varied."""
 REFERENCE = "grpd"
+VARIANTS: dict[str, dict[str, Any]] = {
+    "grpd, messages without receiver": {"receiver_gates": False, "actuator_scalar_dim": 64},
+    "grpd, l = 2 on mesh edges": {"max_local_degree": 2},
+    "grpd, 3 radial functions on mesh edges": {"num_local_radial": 3},
+}
+"""Options of GRPD beside its defaults."""
 PER_EDGE = "grpd, a message per edge"
 PEER = "ViS_MP (torch_geometric)"
 MODES = ("forward", "forward+backward")
@@ -105,10 +113,14 @@ class PerEdgeConv(nn.Module):
         super().__init__()
         if conv.max_degree != 1:
             raise ValueError(f"max_degree must be 1, got {conv.max_degree}")
-        self.mix, self.to_scalars, self.to_vectors = conv.mix, conv.to_scalars, conv.to_vectors
+        self.mix, self.to_scalars, self.to_vectors, self.gate = conv.mix, conv.to_scalars, conv.to_vectors, conv.gate
 
     def forward(
-        self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges | NeighborEdges
+        self,
+        scalars: torch.Tensor,
+        vectors: torch.Tensor,
+        edges: CompleteEdges | NeighborEdges,
+        receivers: tuple[torch.Tensor, torch.Tensor] | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """See `SteerableConv.forward`."""
         if isinstance(edges, CompleteEdges):
@@ -130,10 +142,13 @@ class PerEdgeConv(nn.Module):
         dot = _times(px, x) + _times(py, y) + _times(pz, z)
         invariant = torch.cat([_times(still, scalars), dot], dim=-1)
         cross = (_times(py, z) - _times(pz, y), _times(pz, x) - _times(px, z), _times(px, y) - _times(py, x))
-        messages = [
-            self.to_vectors(torch.cat([_times(p, mixed), _times(still, v), c], dim=-1)).sum(dim=2)
-            for p, v, c in zip(direction, vectors, cross, strict=True)
+        paths = [
+            torch.cat([_times(p, mixed), _times(still, v), c], dim=-1) for p, v, c in zip(direction, vectors, cross, strict=True)
         ]
+        if self.gate is not None:
+            to_scalars, to_vectors = (factor[:, :, None] for factor in self.gate(*receivers))
+            invariant, paths = invariant * to_scalars, [path * to_vectors for path in paths]
+        messages = [self.to_vectors(path).sum(dim=2) for path in paths]
         # The bias belongs to the receiver, not to each of its messages.
         sent = nn.functional.linear(invariant, self.to_scalars.weight).sum(dim=2)
         return sent + self.to_scalars.bias, torch.stack(messages)
@@ -232,6 +247,7 @@ def make_subjects(num_nodes: int, graph: Mapping[str, Any]) -> dict[str, nn.Modu
     options = subjects[REFERENCE].config["options"]
     width = {key: options[key] for key in ("scalar_dim", "vector_dim")}
     subjects["empn, width of grpd"] = make_policy("empn", schema, **width)
+    subjects |= {name: make_policy(REFERENCE, schema, **kwargs) for name, kwargs in VARIANTS.items()}
     subjects[PER_EDGE] = with_messages_per_edge(subjects[REFERENCE])
     subjects[PEER] = make_peer(graph)
     device = graph["gravity"].device

@@ -29,7 +29,7 @@ Edges = CompleteEdges | NeighborEdges
 class EMPNOptions(HeadOptions):
     """Options of EMPN."""
 
-    scalar_dim: int = 56
+    scalar_dim: int = 48
     """Scalar channels of a node."""
     vector_dim: int = 20
     """Vector channels of a node."""
@@ -39,6 +39,8 @@ class EMPNOptions(HeadOptions):
     """Radial functions of the edges."""
     max_degree: int = 1
     """Largest degree of the harmonics, 1 or 2."""
+    receiver_gates: bool = True
+    """Whether messages depend on their receiver, as those of GRPD."""
     normalize_vectors: bool = False
     """Whether vector features are normalised after each round; for many rounds."""
     num_nearest: int = 8
@@ -120,9 +122,8 @@ class EMPNEncoder(nn.Module):
         edges = self._connect(nodes, graph["object"]["neighbors"])
         features = self.embed(nodes["vectors"], nodes["scalars"], graph["gravity"])
         for message_round in self.rounds:
-            features = message_round(features, edges)
-        scalars, vectors = features
-        return ((scalars[:, :count], vectors[:, :, :count]), (scalars[:, count:], vectors[:, :, count:]))
+            features = message_round(features, edges, count)
+        return _split_nodes(*features, count)
 
     def _connect(self, nodes: Mapping[str, torch.Tensor], neighbors: torch.Tensor) -> tuple[Edges, Edges]:
         """Edges to objects and to actuators; lists of different length, otherwise alike."""
@@ -143,9 +144,20 @@ class _HomogeneousRound(nn.Module):
 
     def __init__(self, dims: tuple[int, int], options: EMPNOptions) -> None:
         super().__init__()
-        self.conv = SteerableConv(*dims, num_radial=options.num_radial, max_degree=options.max_degree)
+        receiver_dims = dims if options.receiver_gates else None
+        self.conv = SteerableConv(
+            *dims, num_radial=options.num_radial, max_degree=options.max_degree, receiver_dims=receiver_dims
+        )
         self.update = EquivariantUpdate(*dims, message_dim=dims[0], normalize_vectors=options.normalize_vectors)
 
-    def forward(self, features: Features, edges: tuple[Edges, Edges]) -> Features:
-        scalars, vectors = zip(*(self.conv(*features, part) for part in edges), strict=True)
+    def forward(self, features: Features, edges: tuple[Edges, Edges], count: int) -> Features:
+        """Update all nodes, of which the first `count` are objects."""
+        nodes = _split_nodes(*features, count)
+        sent = (self.conv(*features, part, receivers) for part, receivers in zip(edges, nodes, strict=True))
+        scalars, vectors = zip(*sent, strict=True)
         return self.update(*features, torch.cat(scalars, dim=1), torch.cat(vectors, dim=2))
+
+
+def _split_nodes(scalars: torch.Tensor, vectors: torch.Tensor, count: int) -> tuple[Features, Features]:
+    """Features of the first `count` nodes, the objects, and of the others."""
+    return (scalars[:, :count], vectors[:, :, :count]), (scalars[:, count:], vectors[:, :, count:])

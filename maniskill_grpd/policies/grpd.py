@@ -21,7 +21,7 @@ class GRPDOptions(HeadOptions):
     """Scalar channels of an object node."""
     vector_dim: int = 16
     """Vector channels of an object node."""
-    actuator_scalar_dim: int = 64
+    actuator_scalar_dim: int = 52
     """Scalar channels of an actuator; there are few actuators, so width is cheap."""
     actuator_vector_dim: int = 16
     """Vector channels of an actuator."""
@@ -37,6 +37,8 @@ class GRPDOptions(HeadOptions):
     """Largest degree of the harmonics from objects to actuators, 1 or 2."""
     max_local_degree: int = 1
     """Largest degree of the harmonics along mesh edges, 1 or 2."""
+    receiver_gates: bool = True
+    """Whether messages depend on their receiver (eq. 36, 38, 40)."""
     normalize_vectors: bool = False
     """Whether vector features are normalised after each round; for many rounds."""
     decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
@@ -107,10 +109,9 @@ class GRPDEncoder(nn.Module):
         self.local_geometry = EdgeGeometry(*local, edge, 0.5 * edge)
         self.actuator_geometry = EdgeGeometry(*between, size, 0.05 * size)
         self.global_geometry = EdgeGeometry(*across, size, 0.05 * size)
-        normalize = options.normalize_vectors
-        self.object_rounds = nn.ModuleList(_MessageRound(dims, dims, *local, normalize) for _ in range(options.num_layers))
-        self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, normalize)
-        self.global_round = _MessageRound(dims, tool_dims, *across, normalize)
+        self.object_rounds = nn.ModuleList(_MessageRound(dims, dims, *local, options) for _ in range(options.num_layers))
+        self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, options)
+        self.global_round = _MessageRound(dims, tool_dims, *across, options)
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
         """Encode a graph.
@@ -142,12 +143,7 @@ class _MessageRound(nn.Module):
     """Convolution along one edge type, then the update of its receivers (eq. 2, 3)."""
 
     def __init__(
-        self,
-        sender_dims: tuple[int, int],
-        receiver_dims: tuple[int, int],
-        num_radial: int,
-        max_degree: int,
-        normalize_vectors: bool,
+        self, sender_dims: tuple[int, int], receiver_dims: tuple[int, int], num_radial: int, max_degree: int, options: GRPDOptions
     ) -> None:
         super().__init__()
         self.conv = SteerableConv(
@@ -156,8 +152,9 @@ class _MessageRound(nn.Module):
             max_degree=max_degree,
             out_scalar_dim=receiver_dims[0],
             out_vector_dim=receiver_dims[1],
+            receiver_dims=receiver_dims if options.receiver_gates else None,
         )
-        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0], normalize_vectors=normalize_vectors)
+        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0], normalize_vectors=options.normalize_vectors)
 
     def forward(self, senders: Features, receivers: Features, edges: Any) -> Features:
-        return self.update(*receivers, *self.conv(*senders, edges))
+        return self.update(*receivers, *self.conv(*senders, edges, receivers))

@@ -11,6 +11,7 @@ import torch
 from maniskill_grpd.learning import CheckpointError, TrainConfig, load_checkpoint
 from maniskill_grpd.learning.checkpoint import describe_differences, load_weights, reading
 from maniskill_grpd.policies import Policy, policy_from_config
+from maniskill_grpd.tasks.observation.observed_worlds import GRAPH_FEATURES
 from maniskill_grpd.tasks.options.env_id import check_env_id
 
 
@@ -54,4 +55,18 @@ def check_schema(policy: Policy, env: gym.Env) -> None:
     parts = ("object", "actuator")
     differences = describe_differences({part: trained[part] for part in parts}, {part: given[part] for part in parts})
     if differences:
-        raise CheckpointError("the policy was trained on other observations than this task gives: " + "; ".join(differences))
+        raise CheckpointError(
+            f"the policy was trained on other observations than this task gives{_graph_of(policy, env)}: "
+            + "; ".join(differences)
+        )
+
+
+def _graph_of(policy: Policy, env: gym.Env) -> str:
+    """Return which graph of the task the policy was trained on, if it is another one than this."""
+    actuator, base = policy.schema.actuator, env.unwrapped
+    told = {channel.name for channel in (*actuator.vectors, *actuator.scalars)}
+    kinds = {features: {channel.name for channel in base.gripper_channels(features)} for features in GRAPH_FEATURES}
+    fitting = [features for features, names in kinds.items() if names == told]
+    if not fitting or base.graph_features in fitting:
+        return ""
+    return f" with graph_features={base.graph_features} (--env_kwargs graph_features={fitting[0]} gives what it knows)"

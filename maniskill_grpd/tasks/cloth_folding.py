@@ -93,7 +93,7 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         channels.CONTACT,
         IS_MOVING,
     )
-    GRIPPER_CHANNELS = (
+    RICH_GRIPPER_CHANNELS = (
         channels.VELOCITY,
         channels.GOAL_OFFSET,
         CREASE_NORMAL,

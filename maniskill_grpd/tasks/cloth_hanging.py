@@ -34,7 +34,7 @@ HOLE_RADIUS = 0.06
 HANGER_AXIS = Channel("hanger_axis", "vector", "", "unit vector out of the peg's tip (along the bar), design")
 SEAT = Channel("seat", "scalar", "", "1 on the boundary of the hole (of the disc that comes onto the bar), design")
 SEAT_OFFSET = Channel("seat_offset", "vector", "m", "hanger_offset of the middle of the seat, design")
-SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit area vector of the seat, out of the front of the cloth, design")
+SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit normal of the seat, of its two the one along a peg or up, design")
 SEAT_DEPTH = Channel("seat_depth", "scalar", "m", "how far the middle of the seat has come down the hanger, design")
 
 
@@ -169,7 +169,7 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         self._hanger: Hanger = BarHanger() if self.hole_radius is None else PegHanger(self.hole_radius, self.TILT_RANGE[release])
         offset, distance = self._hanger.channels
         self.OBJECT_CHANNELS = (channels.VELOCITY, offset, HANGER_AXIS, distance, SEAT, channels.CORNER, channels.HELD)
-        self.GRIPPER_CHANNELS = (
+        self.RICH_GRIPPER_CHANNELS = (
             channels.VELOCITY,
             offset,
             HANGER_AXIS,

@@ -11,11 +11,8 @@ import sapien
 import torch
 from mani_skill.utils.structs.types import SimConfig
 
-from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
-from maniskill_grpd.tasks.observation import channels
-from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
-from maniskill_grpd.tasks.observation.observed_worlds import ObservedWorlds
+from maniskill_grpd.tasks.observation.observed_worlds import GRAPH_FEATURES, ObservedWorlds
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
 from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, gripper_teams
@@ -77,6 +74,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
         graph_nodes: Number of object nodes in the graph, farthest-point sampled; all by default.
             The simulation keeps all nodes.
+        graph_features: "paper" (default): grippers tell their position, velocity and status alone (eq. 43), the goal is on the
+            object's nodes (eq. 42); "rich": grippers also tell the goal and summaries of the whole object.
         substeps: Substeps of the solver in a control step, 1 to 1,000; by default what each variant of
             the object needs.
         num_threads: CPU threads of the solver, chosen by it by default.
@@ -92,8 +91,6 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     DEFAULT_NUM_GRIPPERS: int
     SELF_COLLISION = False
     """Whether the object collides with itself."""
-    OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
-    GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
 
     def __init__(
         self,
@@ -110,12 +107,14 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         material: Mapping[str, float | Sequence[float]] | None = None,
         pose_range: str = "full",
         graph_nodes: int | None = None,
+        graph_features: str = "paper",
         substeps: int | None = None,
         num_threads: int | None = None,
         **settings: Any,
     ) -> None:
         self._check_hooks()
         _check_choice("pose_range", pose_range, tuple(POSE_RANGES))
+        _check_choice("graph_features", graph_features, GRAPH_FEATURES)
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
         if num_envs < 1:
             raise ValueError(f"num_envs must be >= 1, got {num_envs}")
@@ -125,7 +124,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
         self.pose_share = POSE_RANGES[pose_range]
-        self._num_graph_nodes = graph_nodes
+        self._num_graph_nodes, self.graph_features = graph_nodes, graph_features
         self._substeps = check_substeps(substeps)
         self._num_threads = num_threads
         self._compute_device = choose_compute_device(sim_backend)
@@ -264,10 +263,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self.allocate_episode()
-        self._graph = GraphObservation(
-            self.solver, self.candidate_gripper_nodes, self.OBJECT_CHANNELS, self.GRIPPER_CHANNELS, self._num_graph_nodes
-        )
-        self.graph_schema = self._graph.schema
+        self._set_up_graph()
         self._painter = choose_painter(self)
 
     def episode_tensor(self, name: str, *shape: int, kind: Kind) -> torch.Tensor:

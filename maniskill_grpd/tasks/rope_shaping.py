@@ -71,7 +71,13 @@ class RopeShapingEnv(DeformableEnv, BaseEnv):
         channels.HELD,
         channels.CONTACT,
     )
-    GRIPPER_CHANNELS = (channels.VELOCITY, channels.GOAL_OFFSET, channels.GOAL_DISTANCE, channels.ARC, channels.GRIPPER_STATUS)
+    RICH_GRIPPER_CHANNELS = (
+        channels.VELOCITY,
+        channels.GOAL_OFFSET,
+        channels.GOAL_DISTANCE,
+        channels.ARC,
+        channels.GRIPPER_STATUS,
+    )
 
     CENTRE_RANGE = 0.15
     """Largest coordinate of the centres of rope and goal [m]."""

@@ -97,7 +97,7 @@ class RopeWrappingEnv(DeformableEnv, BaseEnv):
     DEFAULT_NUM_GRIPPERS = 2
     PROGRESS = Metric("winding", "")
     OBJECT_CHANNELS = (channels.VELOCITY, *POST_CHANNELS, channels.ARC, channels.HELD, channels.CONTACT)
-    GRIPPER_CHANNELS = (
+    RICH_GRIPPER_CHANNELS = (
         channels.VELOCITY,
         *POST_CHANNELS,
         PARTNER_OFFSET,

@@ -31,6 +31,7 @@ VARIANTS = {
     "default": ("grpd", {}),
     "deep": ("grpd", {"num_layers": 2, "num_local_radial": 3, "max_degree": 2}),
     "no_object_rounds": ("grpd", {"num_layers": 0}),
+    "no_gates": ("grpd", {"receiver_gates": False}),
     "separate_value": ("grpd", {"value_encoder": "separate", "state_dependent_std": False}),
     "naive": ("grpd", {"decoder": "naive"}),
     "independent": ("grpd", {"decoders": "independent", "num_decoders": 5, "gripper": True}),

@@ -30,7 +30,9 @@ def displaced(request, monkeypatch):
     """Return id, schema, the graph before and after nodes and grippers were displaced, and by how much."""
     monkeypatch.setattr(gc, "collect", lambda: 0)
     env_id, options = request.param
-    env = gym.make(env_id, num_envs=8, sim_backend="cpu", render_backend="none", graph_nodes=None, **options)
+    env = gym.make(
+        env_id, num_envs=8, sim_backend="cpu", render_backend="none", graph_nodes=None, graph_features="rich", **options
+    )
     env.reset(seed=0)
     base = env.unwrapped
     generator = torch.Generator().manual_seed(1)

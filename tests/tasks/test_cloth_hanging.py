@@ -297,7 +297,7 @@ def test_other_configurations_do_not_depend_on_the_frame_either(make_env, option
 
 
 def test_channels_say_where_hanger_and_hole_are(make_env):
-    env = make_env(4)
+    env = make_env(4, graph_features="rich")
     base = env.unwrapped
     lay_on_peg(base, 0.1, 20.0, 0.01)
     graph, schema, solver = base.get_obs()["graph"], base.graph_schema, base.solver

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from maniskill_grpd.policies.layers.edges import CompleteEdges, NeighborEdges
+from maniskill_grpd.policies.layers.receiver_gate import ReceiverGate
 
 _Moments = Sequence[Sequence[torch.Tensor]]
 """Entry [i][m]: component i of the sender vectors times harmonic m, summed over senders."""
@@ -28,6 +29,9 @@ class SteerableConv(nn.Module):
         scalars <- M0 s,  M1 . v
         vectors <- M1 s,  M0 v,  M1 x v,  M2 v   (the last with max_degree 2)
 
+    With `receiver_dims` the kernel depends on the receiver, m_r = sum_s psi(h_s, h_r, p_rs): its invariants weigh the
+    moments before they are contracted, see `ReceiverGate`.
+
     Complete edges form all moments as a matrix product per graph. Neighbour lists are short, so
     there only those products that survive the contraction are formed, elementwise. Both give the
     same messages for the same edges.
@@ -45,6 +49,7 @@ class SteerableConv(nn.Module):
         max_degree: Largest degree of the harmonics, 1 or 2; the edges must have at least that many.
         out_scalar_dim: C_out, default C.
         out_vector_dim: D_out, default D.
+        receiver_dims: Scalar and vector channels of the receivers; None for messages that do not know them.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class SteerableConv(nn.Module):
         max_degree: int = 1,
         out_scalar_dim: int | None = None,
         out_vector_dim: int | None = None,
+        receiver_dims: tuple[int, int] | None = None,
     ) -> None:
         super().__init__()
         if max_degree not in (1, 2):
@@ -65,19 +71,36 @@ class SteerableConv(nn.Module):
         self.mix = nn.Linear(scalar_dim, vector_dim, bias=False)
         self.to_scalars = nn.Linear(num_radial * (scalar_dim + vector_dim), out_scalar_dim or scalar_dim)
         self.to_vectors = nn.Linear(num_radial * (2 + max_degree) * vector_dim, out_vector_dim or vector_dim, bias=False)
+        self.gate: ReceiverGate | None = None
+        if receiver_dims is not None:
+            self.gate = ReceiverGate(receiver_dims, (scalar_dim, vector_dim), num_radial, 2 + max_degree)
 
     def forward(
-        self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges | NeighborEdges
+        self,
+        scalars: torch.Tensor,
+        vectors: torch.Tensor,
+        edges: CompleteEdges | NeighborEdges,
+        receivers: tuple[torch.Tensor, torch.Tensor] | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Messages to all receivers of the edges from the features of all senders."""
+        """Messages to all receivers of the edges from the features of all senders.
+
+        Args:
+            scalars: Of the senders, (B, S, C).
+            vectors: Of the senders, (3, B, S, D).
+            edges: Who hears whom.
+            receivers: Scalars and vectors of the receivers, needed with `receiver_dims`.
+        """
         if isinstance(edges, CompleteEdges):
             invariant, paths = self._complete(scalars, vectors, edges)
         else:
             invariant, paths = self._neighbors(scalars, vectors, edges)
         # One component at a time: the joined paths of all three would be the largest tensor here.
         components = [torch.cat(component, dim=-1) for component in zip(*paths, strict=True)]
-        messages = torch.stack([self.to_vectors(component) for component in components])
-        return self.to_scalars(torch.cat(invariant, dim=-1)), messages
+        joined = torch.cat(invariant, dim=-1)
+        if self.gate is not None:
+            to_scalars, to_vectors = self.gate(*receivers)
+            joined, components = joined * to_scalars, [component * to_vectors for component in components]
+        return self.to_scalars(joined), torch.stack([self.to_vectors(component) for component in components])
 
     def _complete(
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: CompleteEdges

@@ -15,6 +15,7 @@ from maniskill_grpd.tasks.geometry.hanger import (
     Hanger,
     Hanging,
     distances_to_segment,
+    facing,
     way_to_go,
 )
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre
@@ -95,7 +96,7 @@ class BarHanger(Hanger):
         hanging = _smaller_share(solver, sides, heights < 0.0)
         return Hanging(
             offset=offset,
-            normal=torch.nn.functional.normalize(loop_area(loop), dim=-1),
+            normal=facing(torch.nn.functional.normalize(loop_area(loop), dim=-1), up),
             depth=-height,
             way=torch.where(lies, 0.0, way_to_go(height, aside)),
             alignment=2.0 * share,

@@ -28,7 +28,7 @@ class Hanging:
     offset: torch.Tensor
     """From the middle of the seat to the hanger, (B, 3) [m]."""
     normal: torch.Tensor
-    """Direction in which the seat faces, unit vectors (B, 3)."""
+    """Normal of the seat, of its two the one along a peg, or up above a bar, unit vectors (B, 3)."""
     depth: torch.Tensor
     """How far the middle of the seat has come down the hanger, negative before it, (B,) [m]."""
     way: torch.Tensor
@@ -90,6 +90,11 @@ def distances_to_segment(points: torch.Tensor, start: torch.Tensor, step: torch.
     length2 = (step * step).sum(-1, keepdim=True)
     fraction = ((offset * step[:, None]).sum(-1) / length2).clamp(0.0, 1.0)
     return torch.linalg.vector_norm(offset - fraction[..., None] * step[:, None], dim=-1)
+
+
+def facing(vectors: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+    """Return vectors (B, 3), turned round where they point away from directions (B, 3)."""
+    return torch.where((vectors * directions).sum(-1, keepdim=True) < 0.0, -vectors, vectors)
 
 
 def way_to_go(height: torch.Tensor, aside: torch.Tensor) -> torch.Tensor:

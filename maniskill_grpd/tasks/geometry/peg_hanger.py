@@ -16,6 +16,7 @@ from maniskill_grpd.tasks.geometry.hanger import (
     Hanger,
     Hanging,
     distances_to_segment,
+    facing,
     way_to_go,
 )
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre, winding_about_axis
@@ -84,8 +85,8 @@ class PegHanger(Hanger):
         offset = point - loop_centre(loop)
         depth = (offset * axis).sum(-1)
         aside = torch.linalg.vector_norm(offset - depth[:, None] * axis, dim=-1)
-        normal = torch.nn.functional.normalize(loop_area(loop), dim=-1)
-        alignment = (normal * axis).sum(-1).abs().clamp(max=1.0)
+        normal = facing(torch.nn.functional.normalize(loop_area(loop), dim=-1), axis)
+        alignment = (normal * axis).sum(-1).clamp(max=1.0)
         is_pierced = winding_about_axis(loop, point, axis).abs() > 0.5
         is_threaded = is_pierced & (depth > 0.0) & (depth < self.LENGTH)
         is_hung = is_threaded & (depth >= self.HUNG_DEPTH) & (alignment >= np.cos(self.LARGEST_ANGLE))

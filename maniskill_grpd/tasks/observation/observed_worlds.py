@@ -7,21 +7,34 @@ from typing import Any
 import torch
 
 from maniskill_grpd.agents import GripperAgent
-from maniskill_grpd.graphs import GraphSchema
+from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.tasks.measurement import Measurement
+from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
+
+GRAPH_FEATURES = ("paper", "rich")
+"""What grippers may tell: themselves alone, as in eq. 43, or the goal and summaries of the whole object too."""
 
 
 class ObservedWorlds(MeasuredWorlds):
     """The part of an environment that adds a graph to ManiSkill's observations, and the nodes to its states."""
 
+    OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
+    """What the object's nodes tell (eq. 42)."""
+    GRIPPER_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.GRIPPER_STATUS)
+    """What grippers tell with `graph_features="paper"` (eq. 43)."""
+    RICH_GRIPPER_CHANNELS: tuple[Channel, ...] | None = None
+    """What they tell with `graph_features="rich"`; None for the same."""
     graph_schema: GraphSchema
     """What `obs["graph"]` holds."""
+    graph_features: str
+    """Which of the two graphs it is, one of `GRAPH_FEATURES`."""
     start_nodes: torch.Tensor
     """Node that each gripper held at the start of the episode, (B, A) int64."""
     _agents: list[GripperAgent]
     _graph: GraphObservation
+    _num_graph_nodes: int | None
     _has_graph: bool
     _full_obs_mode: str
 
@@ -30,7 +43,10 @@ class ObservedWorlds(MeasuredWorlds):
         return {}
 
     def gripper_values(self, measurement: Measurement) -> dict[str, torch.Tensor]:
-        """Return the task's own channels of the grippers by name: vectors (B, A, 3), scalars (B, A); none by default."""
+        """Return the task's own channels of the grippers by name: vectors (B, A, 3), scalars (B, A); none by default.
+
+        Those of `RICH_GRIPPER_CHANNELS` alone are left out of the graph with `graph_features="paper"`.
+        """
         return {}
 
     def goal_observations(self) -> dict[str, torch.Tensor]:
@@ -54,11 +70,26 @@ class ObservedWorlds(MeasuredWorlds):
         graph = obs.pop("graph")
         return _with_graph(super()._flatten_raw_obs(obs), graph)
 
+    def gripper_channels(self, features: str) -> tuple[Channel, ...]:
+        """Return the channels of grippers in one of the two graphs, "paper" or "rich"."""
+        is_rich = features == "rich" and self.RICH_GRIPPER_CHANNELS is not None
+        return self.RICH_GRIPPER_CHANNELS if is_rich else self.GRIPPER_CHANNELS
+
+    def _set_up_graph(self) -> None:
+        """Choose nodes and channels, once the solver is there."""
+        told = self.gripper_channels(self.graph_features)
+        self._untold = {channel.name for channel in self.gripper_channels("rich")} - {channel.name for channel in told}
+        self._graph = GraphObservation(
+            self.solver, self.candidate_gripper_nodes, self.OBJECT_CHANNELS, told, self._num_graph_nodes
+        )
+        self.graph_schema = self._graph.schema
+
     def _get_obs_graph(self) -> dict[str, Any]:
         """Return the graph that `graph_schema` describes."""
         velocities = torch.cat([agent.robot.velocities for agent in self._agents], dim=1)
         measured = self.measurement
-        return self._graph.build(self.start_nodes, velocities, self.object_values(measured), self.gripper_values(measured))
+        grippers = {name: value for name, value in self.gripper_values(measured).items() if name not in self._untold}
+        return self._graph.build(self.start_nodes, velocities, self.object_values(measured), grippers)
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
         """Return the goal and, in observations of the state, where the nodes of the object are and how they move."""
