@@ -26,6 +26,7 @@ from maniskill_grpd.tasks.geometry.crease import (
     signed_distances,
 )
 from maniskill_grpd.tasks.geometry.fold_directions import CREASES, MOVING_SHARES, fold_directions
+from maniskill_grpd.tasks.geometry.mesh_outlines import GivenMesh
 from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape, shape_label
 from maniskill_grpd.tasks.measurement import GoalMeasurement, Metric
 from maniskill_grpd.tasks.observation import channels
@@ -134,7 +135,7 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         *,
         num_grippers: int | None = None,
         resolution: int | Sequence[int] | None = None,
-        shapes: GivenShape | Iterable[GivenShape] = "square",
+        shapes: GivenShape | GivenMesh | Iterable[GivenShape | GivenMesh] = "square",
         holes: Sequence[np.ndarray] = (),
         **settings: Any,
     ) -> None:
@@ -146,7 +147,8 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
                 two grippers and 144 with one. Much coarser cloths are too stiff along slanted creases for some of the folds.
             shapes: The cloth's outline, a name ("square" by default, "rectangle", "triangle", "hexagon", "circle", with two
                 grippers "l_shape", or one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size and with one
-                gripper must be convex; of several, each episode draws one.
+                gripper must be convex, or a flat mesh (a `trimesh.Trimesh`, or vertices and faces), whose rim counts; of
+                several, each episode draws one.
             holes: Polygons (P, 2) [m] that are cut out of every cloth, in the coordinates of its outline.
             settings: Options of `DeformableEnv`.
 

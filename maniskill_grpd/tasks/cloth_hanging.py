@@ -20,6 +20,7 @@ from maniskill_grpd.tasks.geometry.cloth_seat import check_middle, hole_outline,
 from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
+from maniskill_grpd.tasks.geometry.mesh_outlines import GivenMesh
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
 from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape
 from maniskill_grpd.tasks.measurement import Measurement, Metric
@@ -128,7 +129,7 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         *,
         hanger: str = "peg",
         release: bool = False,
-        shapes: GivenShape | Iterable[GivenShape] = "square",
+        shapes: GivenShape | GivenMesh | Iterable[GivenShape | GivenMesh] = "square",
         resolution: int | Sequence[int] = 100,
         hole_radius: float | None = None,
         hole_center: Sequence[float] | None = None,
@@ -140,7 +141,8 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
             hanger: "peg" or "bar".
             release: Whether the grippers must let the cloth go; then `grasp` is "free" by default.
             shapes: The cloth's outline, a name ("square" by default, "rectangle", "triangle", "hexagon", "circle", "l_shape", or
-                one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size; of several, each episode draws one.
+                one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size, or a flat mesh (a
+                `trimesh.Trimesh`, or vertices and faces), whose rim counts; of several, each episode draws one.
             resolution: Number of nodes of the cloth, 49 to 1225, that of its mesh is about as large; of several, each episode
                 draws one.
             hole_radius: Radius of the hole for a peg, 0.03 to 0.1 m, with at least 3 cm of cloth around; 0.06 by default.

@@ -15,6 +15,7 @@ from maniskill_grpd.physics import (
     triangle_outline,
 )
 from maniskill_grpd.physics.mesh.outlines import centroid, check_polygon, signed_area
+from maniskill_grpd.tasks.geometry.mesh_outlines import GivenMesh, is_mesh, outline_of_mesh
 from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape, ShapeRegistry, shape_label
 
 RESOLUTIONS = (49, 1225)
@@ -81,17 +82,19 @@ def in_cloth_frame(shape: Shape, points: np.ndarray) -> np.ndarray:
     return points if isinstance(shape, str) else points - centroid(np.array(shape))
 
 
-def check_cloth_shapes(shapes: GivenShape | Iterable[GivenShape], area: float) -> tuple[Shape, ...]:
+def check_cloth_shapes(shapes: GivenShape | GivenMesh | Iterable[GivenShape | GivenMesh], area: float) -> tuple[Shape, ...]:
     """Return the shapes that the option `shapes` of a task gives as a tuple.
 
     Args:
-        shapes: A name, a polygon (P, 2) [m], or several of both.
+        shapes: A name, a polygon (P, 2) [m], a flat mesh without holes, or several of them. Of a mesh the rim is taken: tasks
+            mesh it anew at their resolution.
         area: Area enclosed by shapes with names [m^2].
 
     Raises:
-        ValueError: If there is none, a name is not in `CLOTH_SHAPES`, or a polygon is none or of a wrong size; says why.
+        ValueError: If there is none, a name is not in `CLOTH_SHAPES`, a mesh is not flat or has holes, or a polygon is none or of
+            a wrong size; says why.
     """
-    parsed = CLOTH_SHAPES.parse(shapes, "shapes")
+    parsed = CLOTH_SHAPES.parse(_with_rims_of_meshes(shapes), "shapes")
     smallest, largest = REACHES
     for shape in parsed:
         outline = cloth_outline(shape, area)
@@ -102,3 +105,12 @@ def check_cloth_shapes(shapes: GivenShape | Iterable[GivenShape], area: float) -
                 f"{shape_label(shape)}; coordinates are in metres"
             )
     return parsed
+
+
+def _with_rims_of_meshes(shapes: GivenShape | GivenMesh | Iterable[GivenShape | GivenMesh]) -> GivenShape | Iterable[GivenShape]:
+    """Return shapes with the rims of meshes in their place."""
+    if is_mesh(shapes):
+        return outline_of_mesh(shapes, "shapes")
+    if isinstance(shapes, (list, tuple)):
+        return [outline_of_mesh(shape, f"shapes[{index}]") if is_mesh(shape) else shape for index, shape in enumerate(shapes)]
+    return shapes
