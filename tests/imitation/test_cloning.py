@@ -191,7 +191,7 @@ def test_the_expert_of_every_task_is_cloned(env_id, tmp_path, monkeypatch, capsy
     """Where a task measures no mean distance, cloning died between training and saving."""
     monkeypatch.chdir(tmp_path)
     sizes = "--num_episodes 2 --num_steps 3 --epochs 1 --batch_size 3 --validation_share 0.5 --num_test_episodes 1"
-    options = ["--env_id", env_id, "--env_kwargs", "graph_nodes=6", "resolution=36", "max_episode_steps=4", "--exp_name", "tiny"]
+    options = ["--env_id", env_id, "--env_kwargs", "graph_nodes=6", "resolution=49", "max_episode_steps=4", "--exp_name", "tiny"]
     assert clone.main([*options, *sizes.split()]) == 0
     record = json.loads((tmp_path / "runs/tiny/grpd/config.json").read_text())
     assert f"({record['progress']['name']} " in capsys.readouterr().out
