@@ -9,7 +9,7 @@ import warp as wp
 
 from maniskill_grpd.physics.colliders import Collider
 from maniskill_grpd.physics.grasps import Grasps
-from maniskill_grpd.physics.kernels.data import Worlds
+from maniskill_grpd.physics.kernels.data import Colliders, Objects, Worlds
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH
@@ -135,6 +135,11 @@ class Solver(Grasps):
             )
             commands = self._record_commands(choose_num_threads(num_threads, num_worlds, self.device))
         self._launches = Launches(commands, self.device)
+
+    @property
+    def kernel_data(self) -> tuple[Objects, Colliders, Worlds]:
+        """What kernels of others that move the targets of the grippers read and write: views of the state."""
+        return tuple(self._inputs[:3])
 
     def step(self) -> None:
         """Advance all worlds by `control_dt`; afterwards `gripper_positions` equal `gripper_targets`."""

@@ -1,0 +1,187 @@
+"""The arms of all worlds: their state, and the kernels that move them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from maniskill_grpd.agents.arms.arm_description import ArmDescription
+from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms, follow_kernel, forward, place
+from maniskill_grpd.agents.arms.urdf import REVOLUTE as TURNS
+from maniskill_grpd.physics import Solver
+from maniskill_grpd.physics.launches import Launches, choose_num_threads, quiet_warp
+
+REACHED = 1.0e-3
+"""Distance [m] from a point at which an arm that is put there has come to it."""
+
+
+class ArmBodies:
+    """A arms in each of B worlds, one for each gripper of a solver, which is where the TCP of its arm is.
+
+    J is `NUM_JOINTS`; arms with fewer have fixed joints behind theirs.
+
+    Arms are kinematic: within a control step a joint goes where it is told, no farther than its limits and its largest speed
+    allow. What is lost thereby the gripper does not do. World i of a batch does the same arithmetic whatever B is.
+
+    Attributes:
+        descriptions: One for each arm.
+        bases: Frames of the bases in the world, (B, A, 7): position [m], quaternion (x, y, z, w).
+        qpos: Joint positions, (B, A, J) [rad].
+        qvel: Their change in the last control step over its duration, (B, A, J) [rad/s].
+        seeds: Where the joints are told to go first, (B, A, J); from there the TCPs are brought to the targets of the grippers.
+        postures: What joints are drawn to as far as TCPs leave them free, (B, A, J).
+        rotations: Quaternions (x, y, z, w) of the hands, (B, A, 4): those wanted, and after a step those there are.
+        errors: How far each TCP missed in the last step where object and obstacles would have let it go, (B, A) [m].
+    """
+
+    def __init__(self, descriptions: Sequence[ArmDescription], solver: Solver, bases: np.ndarray) -> None:
+        """Put arms into the worlds of a solver, in their rest postures.
+
+        Args:
+            descriptions: One for each gripper of the solver.
+            solver: Its grippers are the TCPs of the arms.
+            bases: Where the arms stand, (A, 4, 4).
+        """
+        self.descriptions = tuple(descriptions)
+        self._solver = solver
+        num_worlds, num_arms, device = solver.num_worlds, len(descriptions), solver.device
+        self._constants = self._upload_chains(device)
+        self.rest = self._constants["rest"]
+        self.default_bases = torch.as_tensor(_as_transforms(bases), device=device)
+        self.bases = self.default_bases.expand(num_worlds, -1, -1).clone()
+        shape = (num_worlds, num_arms)
+        self.qpos, self.seeds, self.postures, self._next = (self.rest.expand(*shape, -1).clone() for _ in range(4))
+        self.qvel = torch.zeros_like(self.qpos)
+        self.rotations = torch.zeros(*shape, 4, device=device)
+        self.rotations[..., 3] = 1.0
+        self.errors = torch.zeros(shape, device=device)
+        self._wanted, self._reached = (torch.zeros(*shape, 3, device=device) for _ in range(2))
+        self._tools = torch.zeros(*shape, 7, device=device)
+        with quiet_warp():
+            wp.init()
+            self._arms = self._fill_struct()
+            self._follow = self._record_follow()
+
+    @property
+    def lower(self) -> torch.Tensor:
+        """Lower limits of the joints, (A, J) [rad]."""
+        return self._constants["lower"]
+
+    @property
+    def upper(self) -> torch.Tensor:
+        """Upper limits of the joints, (A, J) [rad]."""
+        return self._constants["upper"]
+
+    @property
+    def speeds(self) -> torch.Tensor:
+        """Largest speeds of the joints, (A, J) [rad/s]."""
+        return self._constants["speeds"]
+
+    def follow(self) -> None:
+        """Move all arms by one control step after the targets of the grippers, and these targets to where the TCPs get."""
+        self._follow.run()
+
+    def forward(self, qpos: torch.Tensor) -> torch.Tensor:
+        """Return where joint positions (B, A, J) bring the TCPs, (B, A, 7): position [m], quaternion (x, y, z, w)."""
+        self._launch(forward, qpos.shape[:2], [_warp(qpos.contiguous(), wp.float32), _warp(self._tools, wp.transform)])
+        return self._tools.clone()
+
+    def solve(self, worlds: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Find joint positions with which arms of some worlds (b,) hold points (b, A, 3) [m], from rest and without time limit.
+
+        Returns:
+            Joint positions (b, A, J) [rad], and how far from the points the TCPs stay, (b, A) [m].
+        """
+        shape = points.shape[:2]
+        qpos = torch.zeros(*shape, NUM_JOINTS, device=points.device)
+        gaps = torch.zeros(shape, device=points.device)
+        arguments = [(worlds.long(), wp.int64), (points.contiguous(), wp.vec3), (qpos, wp.float32), (gaps, wp.float32)]
+        self._launch(place, shape, [_warp(tensor, dtype) for tensor, dtype in arguments])
+        return qpos, gaps
+
+    def set_qpos(self, worlds: torch.Tensor, arms: slice, qpos: torch.Tensor) -> None:
+        """Put arms of some worlds (b,) at rest at joint positions (b, n, J) [rad]."""
+        for tensor in (self.qpos, self.seeds):
+            tensor[worlds, arms] = qpos
+        self.postures[worlds, arms] = self.rest[arms]
+        self.qvel[worlds, arms] = 0.0
+        self.errors[worlds, arms] = 0.0
+        self.rotations[worlds, arms] = self.forward(self.qpos)[worlds, arms, 3:]
+
+    def hold_rotation(self, arms: slice, is_held: bool) -> None:
+        """Say whether the hands of some arms keep the rotation they are told to have, or turn freely about their TCPs."""
+        self._constants["holds_rotation"][arms] = int(is_held)
+
+    # ------------------------------------------------------------------ Warp
+
+    def _upload_chains(self, device: torch.device) -> dict[str, torch.Tensor]:
+        """Tabulate the chains, padded to J joints that do not move."""
+        shape = (len(self.descriptions), NUM_JOINTS)
+        tables = {name: np.zeros(shape, dtype=np.float32) for name in ("lower", "upper", "speeds", "rest")}
+        kinds, axes = np.full(shape, int(FIXED), dtype=np.int32), np.zeros((*shape, 3), dtype=np.float32)
+        offsets, tools = np.tile(np.eye(4), (*shape, 1, 1)), np.tile(np.eye(4), (shape[0], 1, 1))
+        for arm, description in enumerate(self.descriptions):
+            joints = description.arm_joints
+            own = (arm, slice(len(joints)))
+            kinds[own] = [int(REVOLUTE) if joint.motion == TURNS else int(PRISMATIC) for joint in joints]
+            axes[own] = [joint.axis for joint in joints]
+            tables["lower"][own], tables["upper"][own] = [joint.lower for joint in joints], [joint.upper for joint in joints]
+            tables["speeds"][own], tables["rest"][own] = [joint.speed for joint in joints], description.rest_qpos
+            offsets[own], tools[arm] = description.offsets[:-1], description.offsets[-1]
+        arrays = {
+            **tables,
+            "kinds": kinds,
+            "axes": axes,
+            "offsets": _as_transforms(offsets),
+            "tools": _as_transforms(tools),
+            "holds_rotation": np.zeros(shape[0], dtype=np.int32),
+        }
+        return {name: torch.as_tensor(array, device=device) for name, array in arrays.items()}
+
+    def _fill_struct(self) -> Arms:
+        arms = Arms()
+        own = {
+            **self._constants,
+            **{name: getattr(self, name) for name in ("bases", "qpos", "qvel", "seeds", "postures", "rotations", "errors")},
+            **{"next": self._next, "wanted": self._wanted, "reached": self._reached},
+        }
+        types = {"axes": wp.vec3, "offsets": wp.transform, "tools": wp.transform, "bases": wp.transform, "rotations": wp.quat}
+        types |= {"wanted": wp.vec3, "reached": wp.vec3, "kinds": wp.int32, "holds_rotation": wp.int32}
+        for name, tensor in own.items():
+            setattr(arms, name, _warp(tensor, types.get(name, wp.float32)))
+        return arms
+
+    def _record_follow(self) -> Launches:
+        """Record one launch per thread, each over every n-th world."""
+        solver = self._solver
+        count = choose_num_threads(None, solver.num_worlds, solver.device)
+        commands = [
+            wp.launch(
+                follow_kernel(bool(solver.colliders)),
+                dim=len(range(first, solver.num_worlds, count)),
+                inputs=[self._arms, *solver.kernel_data, solver.control_dt, first, count],
+                device=str(solver.device),
+                record_cmd=True,
+            )
+            for first in range(count)
+        ]
+        return Launches(commands, solver.device)
+
+    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[wp.array]) -> None:
+        device = self._solver.device
+        stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
+        wp.launch(kernel, dim=tuple(dim), inputs=[self._arms, *inputs], device=str(device), stream=stream)
+
+
+def _warp(tensor: torch.Tensor, dtype: type) -> wp.array:
+    return wp.from_torch(tensor, dtype=dtype)
+
+
+def _as_transforms(matrices: np.ndarray) -> np.ndarray:
+    """Return matrices (..., 4, 4) as (..., 7), float32: position, quaternion (x, y, z, w)."""
+    quaternions = Rotation.from_matrix(matrices[..., :3, :3].reshape(-1, 3, 3)).as_quat()
+    return np.concatenate([matrices[..., :3, 3], quaternions.reshape(*matrices.shape[:-2], 4)], axis=-1).astype(np.float32)

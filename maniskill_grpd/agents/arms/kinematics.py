@@ -1,0 +1,363 @@
+"""Forward kinematics and damped least squares of many arms in Warp, CPU and CUDA from one source.
+
+Annotations stay real objects here (no postponed evaluation), because Warp reads them.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from maniskill_grpd.physics.kernels.data import Colliders, Objects, Worlds
+from maniskill_grpd.physics.kernels.grippers import is_valid, limit_gripper_targets, stop_grippers
+
+NUM_JOINTS = 7
+"""Most joints of an arm; the chains of shorter ones end with joints that are fixed."""
+FIXED, REVOLUTE, PRISMATIC = wp.constant(0), wp.constant(1), wp.constant(2)
+# An arm has arrived when its TCP is this near [m] and its hand turned by no more than this [rad].
+ARRIVAL, TURN_ARRIVAL = wp.constant(1.0e-5), wp.constant(1.0e-4)
+# Newton steps within a control step, and of an arm that is put somewhere.
+STEPS, PLACING_STEPS = wp.constant(8), wp.constant(100)
+# Damping per squared error (Sugihara 2011) [1/m^2], and its bounds.
+DAMPING, LEAST_DAMPING, LARGEST_DAMPING = wp.constant(0.1), wp.constant(1.0e-6), wp.constant(0.02)
+# Share of the way to the posture that the joints are drawn in one control step.
+POSTURE_GAIN = wp.constant(0.05)
+# Rounds in which object, colliders and arms take turns to shorten the motion of grippers.
+ROUNDS = wp.constant(4)
+# Angles of the first joint that are tried when an arm is put somewhere.
+SEEDS = wp.constant(16)
+
+Joints = wp.types.vector(length=NUM_JOINTS, dtype=wp.float32)
+Columns = wp.types.matrix(shape=(6, NUM_JOINTS), dtype=wp.float32)
+Square = wp.types.matrix(shape=(6, 6), dtype=wp.float32)
+Six = wp.types.vector(length=6, dtype=wp.float32)
+
+
+@wp.struct
+class Arms:
+    """A arms in each of B worlds: arrays (A,) or (A, J) of their chains, (B, A) or (B, A, J) of their state."""
+
+    kinds: wp.array2d(dtype=int)
+    offsets: wp.array2d(dtype=wp.transform)  # frame of each joint at rest in that of the one before it
+    axes: wp.array2d(dtype=wp.vec3)
+    lower: wp.array2d(dtype=float)
+    upper: wp.array2d(dtype=float)
+    speeds: wp.array2d(dtype=float)
+    rest: wp.array2d(dtype=float)
+    tools: wp.array(dtype=wp.transform)  # TCP in the frame of the last joint
+    holds_rotation: wp.array(dtype=int)  # whether the hand keeps the rotation that is wanted, or is free
+    bases: wp.array2d(dtype=wp.transform)
+    qpos: wp.array3d(dtype=float)
+    qvel: wp.array3d(dtype=float)
+    seeds: wp.array3d(dtype=float)  # where the search for the next positions begins
+    postures: wp.array3d(dtype=float)  # where the joints are drawn
+    next: wp.array3d(dtype=float)
+    rotations: wp.array2d(dtype=wp.quat)  # of the hands: wanted, and after a step what there is
+    wanted: wp.array2d(dtype=wp.vec3)  # where object and colliders let the TCPs go
+    reached: wp.array2d(dtype=wp.vec3)  # where the arms can bring them
+    errors: wp.array2d(dtype=float)  # the distance that was lost [m]
+
+
+@wp.struct
+class Trace:
+    """An arm at given joint positions."""
+
+    axes: Columns  # rows 0 to 2 the axes of the joints, 3 to 5 their origins
+    tool: wp.transform
+
+
+@wp.struct
+class Range:
+    """Where the joints of an arm may be."""
+
+    low: Joints
+    high: Joints
+
+
+@wp.func
+def trace_arm(arms: Arms, world: int, arm: int, q: Joints) -> Trace:
+    """Forward kinematics."""
+    trace = Trace()
+    frame = arms.bases[world, arm]
+    for joint in range(wp.static(NUM_JOINTS)):
+        frame = wp.transform_multiply(frame, arms.offsets[arm, joint])
+        axis = arms.axes[arm, joint]
+        direction = wp.quat_rotate(wp.transform_get_rotation(frame), axis)
+        origin = wp.transform_get_translation(frame)
+        for k in range(3):
+            trace.axes[k, joint] = direction[k]
+            trace.axes[3 + k, joint] = origin[k]
+        if arms.kinds[arm, joint] == REVOLUTE:
+            frame = wp.transform_multiply(frame, wp.transform(wp.vec3(), wp.quat_from_axis_angle(axis, q[joint])))
+        elif arms.kinds[arm, joint] == PRISMATIC:
+            frame = wp.transform_multiply(frame, wp.transform(axis * q[joint], wp.quat_identity()))
+    trace.tool = wp.transform_multiply(frame, arms.tools[arm])
+    return trace
+
+
+@wp.func
+def tool_position(arms: Arms, world: int, arm: int, q: Joints) -> wp.vec3:
+    """Return the TCP."""
+    trace = trace_arm(arms, world, arm, q)
+    return wp.transform_get_translation(trace.tool)
+
+
+@wp.func
+def jacobian(arms: Arms, arm: int, trace: Trace, free: Joints, rows: int) -> Columns:
+    """Return the velocity of the TCP (rows 0 to 2) and of the hand's turn (3 to 5) per speed of each free joint."""
+    found = Columns()
+    tcp = wp.transform_get_translation(trace.tool)
+    for joint in range(wp.static(NUM_JOINTS)):
+        axis = wp.vec3(trace.axes[0, joint], trace.axes[1, joint], trace.axes[2, joint])
+        origin = wp.vec3(trace.axes[3, joint], trace.axes[4, joint], trace.axes[5, joint])
+        turns = arms.kinds[arm, joint] == REVOLUTE
+        velocity = wp.where(turns, wp.cross(axis, tcp - origin), axis) * free[joint]
+        for k in range(3):
+            found[k, joint] = velocity[k]
+            if rows == 6 and turns:
+                found[3 + k, joint] = axis[k] * free[joint]
+    return found
+
+
+@wp.func
+def factorize(columns: Columns, damping: float, rows: int) -> Square:
+    """Return the Cholesky factor of J J^T + damping."""
+    factor = Square()
+    for i in range(rows):
+        for j in range(i + 1):
+            total = wp.where(i == j, damping, 0.0)
+            for k in range(wp.static(NUM_JOINTS)):
+                total += columns[i, k] * columns[j, k]
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i == j:
+                factor[i, i] = wp.sqrt(wp.max(total, 0.01 * damping))
+            else:
+                factor[i, j] = total / factor[j, j]
+    return factor
+
+
+@wp.func
+def backsolve(factor: Square, right: Six, rows: int) -> Six:
+    """Solve the factorized system."""
+    y = right * 1.0
+    for i in range(rows):
+        total = y[i]
+        for k in range(i):
+            total -= factor[i, k] * y[k]
+        y[i] = total / factor[i, i]
+    for back in range(rows):
+        i = rows - 1 - back
+        total = y[i]
+        for k in range(i + 1, rows):
+            total -= factor[k, i] * y[k]
+        y[i] = total / factor[i, i]
+    return y
+
+
+@wp.func
+def tool_error(trace: Trace, target: wp.vec3, rotation: wp.quat, rows: int) -> Six:
+    """Return the way to a target [m] and, for six rows, the turn to a rotation, axis times twice the sine of half the angle."""
+    error = Six()
+    away = target - wp.transform_get_translation(trace.tool)
+    turn = rotation * wp.quat_inverse(wp.transform_get_rotation(trace.tool))
+    side = wp.where(turn[3] < 0.0, -2.0, 2.0)
+    for k in range(3):
+        error[k] = away[k]
+        if rows == 6:
+            error[3 + k] = side * turn[k]
+    return error
+
+
+@wp.func
+def has_arrived(error: Six) -> bool:
+    """Whether an error is so small that another step is not worth it."""
+    away = wp.vec3(error[0], error[1], error[2])
+    turn = wp.vec3(error[3], error[4], error[5])
+    return wp.length(away) < 0.5 * ARRIVAL and wp.length(turn) < 0.5 * TURN_ARRIVAL
+
+
+@wp.func
+def newton_step(columns: Columns, error: Six, drawn: Joints, rows: int) -> Joints:
+    """Return a change of the joints, dq = J^T (J J^T + d)^-1 (e - J dq0) + dq0: what dq0 would do to the TCP is undone."""
+    rest = error * 1.0
+    for joint in range(wp.static(NUM_JOINTS)):
+        for i in range(rows):
+            rest[i] = rest[i] - columns[i, joint] * drawn[joint]
+    damping = wp.clamp(DAMPING * wp.dot(error, error), LEAST_DAMPING, LARGEST_DAMPING)
+    y = backsolve(factorize(columns, damping, rows), rest, rows)
+    change = drawn * 1.0
+    for joint in range(wp.static(NUM_JOINTS)):
+        for i in range(rows):
+            change[joint] = change[joint] + columns[i, joint] * y[i]
+    return change
+
+
+@wp.func
+def approach(
+    arms: Arms,
+    world: int,
+    arm: int,
+    start: Joints,
+    bounds: Range,
+    drawn: Joints,
+    target: wp.vec3,
+    rotation: wp.quat,
+    rows: int,
+    steps: int,
+) -> Joints:
+    """Bring a TCP to a target by damped least squares, with the joints drawn somewhere in the first step.
+
+    Joints that would leave their range stay at its end from then on, and the others do the rest (Baerlocher and Boulic 2004).
+    """
+    q = start * 1.0
+    free = Joints()
+    for joint in range(wp.static(NUM_JOINTS)):
+        free[joint] = wp.where(arms.kinds[arm, joint] == FIXED, 0.0, 1.0)
+    pull = drawn * 1.0
+    for step in range(steps):
+        trace = trace_arm(arms, world, arm, q)
+        error = tool_error(trace, target, rotation, rows)
+        if step > 0 and has_arrived(error):
+            break
+        change = newton_step(jacobian(arms, arm, trace, free, rows), error, pull, rows)
+        for joint in range(wp.static(NUM_JOINTS)):
+            moved = q[joint] + change[joint]
+            free[joint] = wp.where(moved < bounds.low[joint] or moved > bounds.high[joint], 0.0, free[joint])
+            q[joint] = wp.clamp(moved, bounds.low[joint], bounds.high[joint])
+            pull[joint] = 0.0
+    return q
+
+
+@wp.func
+def step_arm(arms: Arms, world: int, arm: int, dt: float, target: wp.vec3):
+    """Write the next joint positions of an arm, and where they bring its TCP."""
+    bounds = Range()
+    start = Joints()
+    drawn = Joints()
+    for joint in range(wp.static(NUM_JOINTS)):
+        way = arms.speeds[arm, joint] * dt
+        bounds.low[joint] = wp.max(arms.lower[arm, joint], arms.qpos[world, arm, joint] - way)
+        bounds.high[joint] = wp.min(arms.upper[arm, joint], arms.qpos[world, arm, joint] + way)
+        start[joint] = wp.clamp(arms.seeds[world, arm, joint], bounds.low[joint], bounds.high[joint])
+        drawn[joint] = POSTURE_GAIN * (arms.postures[world, arm, joint] - start[joint])
+    rows = 3 + 3 * arms.holds_rotation[arm]
+    q = approach(arms, world, arm, start, bounds, drawn, target, arms.rotations[world, arm], rows, STEPS)
+    for joint in range(wp.static(NUM_JOINTS)):
+        arms.next[world, arm, joint] = q[joint]
+    arms.reached[world, arm] = tool_position(arms, world, arm, q)
+
+
+@wp.func
+def settle_arm(arms: Arms, world: int, arm: int, dt: float, agreed: bool, worlds: Worlds):
+    """Move an arm to its next joint positions, or leave it and its gripper where they are."""
+    if not agreed:
+        worlds.gripper_targets[world, arm] = worlds.gripper_positions[world, arm]
+    arms.errors[world, arm] = wp.length(arms.wanted[world, arm] - worlds.gripper_targets[world, arm])
+    q = Joints()
+    for joint in range(wp.static(NUM_JOINTS)):
+        before = arms.qpos[world, arm, joint]
+        q[joint] = wp.where(agreed, arms.next[world, arm, joint], before)
+        arms.qvel[world, arm, joint] = (q[joint] - before) / dt
+        arms.qpos[world, arm, joint] = q[joint]
+        arms.seeds[world, arm, joint] = q[joint]
+    trace = trace_arm(arms, world, arm, q)
+    arms.rotations[world, arm] = wp.transform_get_rotation(trace.tool)
+
+
+@wp.func
+def move_once(arms: Arms, world: int, dt: float, is_first: bool, worlds: Worlds) -> bool:
+    """Solve for all arms of a world whose targets have changed; return whether all reach theirs."""
+    reached = bool(True)
+    for arm in range(arms.tools.shape[0]):
+        target = worlds.gripper_targets[world, arm]
+        if is_first:
+            arms.wanted[world, arm] = target
+        if is_first or wp.length(target - arms.reached[world, arm]) > ARRIVAL:
+            step_arm(arms, world, arm, dt, target)
+        if wp.length(target - arms.reached[world, arm]) > ARRIVAL:
+            worlds.gripper_targets[world, arm] = arms.reached[world, arm]
+            reached = False
+    return reached
+
+
+@cache
+def follow_kernel(has_colliders: bool) -> wp.Kernel:
+    """Return the kernel that moves the arms of worlds with or without colliders by one control step."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def follow(
+        arms: Arms, objects: Objects, colliders: Colliders, worlds: Worlds, dt: float, first_world: int, world_stride: int
+    ):
+        """Move the joints of all arms of a world after the targets of its grippers, and the targets to where the TCPs get.
+
+        Object, colliders and arms shorten the motion in turn. Where they find no agreement, all arms of the world stay where
+        they are, which always is one.
+        """
+        world = first_world + wp.tid() * world_stride
+        if worlds.frozen[world]:
+            return
+        for arm in range(arms.tools.shape[0]):
+            if not is_valid(worlds.gripper_targets[world, arm]):  # freezes the world
+                return
+        agreed = bool(False)
+        for turn in range(ROUNDS):
+            if not agreed:
+                limit_gripper_targets(world, worlds)
+                if wp.static(has_colliders):
+                    stop_grippers(world, objects.radii[worlds.variants[world]], colliders, worlds)
+                agreed = move_once(arms, world, dt, turn == 0, worlds)
+        for arm in range(arms.tools.shape[0]):
+            settle_arm(arms, world, arm, dt, agreed, worlds)
+
+    return follow
+
+
+@wp.kernel(enable_backward=False)
+def forward(arms: Arms, q: wp.array3d(dtype=float), tools: wp.array2d(dtype=wp.transform)):
+    """Write where joint positions (B, A, J) bring the TCPs, (B, A)."""
+    world, arm = wp.tid()
+    positions = Joints()
+    for joint in range(wp.static(NUM_JOINTS)):
+        positions[joint] = q[world, arm, joint]
+    trace = trace_arm(arms, world, arm, positions)
+    tools[world, arm] = trace.tool
+
+
+@wp.func
+def best_seed(arms: Arms, world: int, arm: int, target: wp.vec3) -> Joints:
+    """Return the rest posture, with its first joint turned to where it brings the TCP nearest to a target."""
+    trial = Joints()
+    for joint in range(wp.static(NUM_JOINTS)):
+        trial[joint] = arms.rest[arm, joint]
+    found = trial * 1.0
+    least = wp.length(target - tool_position(arms, world, arm, trial))
+    for seed in range(SEEDS):
+        turn = wp.PI * (2.0 * (float(seed) + 0.5) / float(SEEDS) - 1.0)
+        trial[0] = wp.clamp(arms.rest[arm, 0] + turn, arms.lower[arm, 0], arms.upper[arm, 0])
+        gap = wp.length(target - tool_position(arms, world, arm, trial))
+        found[0] = wp.where(gap < least, trial[0], found[0])
+        least = wp.min(gap, least)
+    return found
+
+
+@wp.kernel(enable_backward=False)
+def place(
+    arms: Arms,
+    worlds: wp.array(dtype=wp.int64),
+    points: wp.array2d(dtype=wp.vec3),
+    q: wp.array3d(dtype=float),
+    gaps: wp.array2d(dtype=float),
+):
+    """Write joint positions (b, A, J) with which arms of some worlds (b,) come nearest to points (b, A), and how near."""
+    row, arm = wp.tid()
+    world = int(worlds[row])
+    bounds = Range()
+    for joint in range(wp.static(NUM_JOINTS)):
+        bounds.low[joint] = arms.lower[arm, joint]
+        bounds.high[joint] = arms.upper[arm, joint]
+    target = points[row, arm]
+    start = best_seed(arms, world, arm, target)
+    found = approach(arms, world, arm, start, bounds, Joints(), target, wp.quat_identity(), 3, PLACING_STEPS)
+    for joint in range(wp.static(NUM_JOINTS)):
+        q[row, arm, joint] = found[joint]
+    gaps[row, arm] = wp.length(target - tool_position(arms, world, arm, found))
