@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from mani_skill.agents.registration import register_agent
 
 from maniskill_grpd.agents.delta_position_controller import DeltaPositionControllerConfig, DeltaPositionGripControllerConfig
+from maniskill_grpd.agents.floating_articulation import FloatingArticulation
 from maniskill_grpd.agents.gripper_agent import GripperAgent
-from maniskill_grpd.agents.kinematic_articulation import KinematicArticulation
 
 if TYPE_CHECKING:
     import sapien
@@ -28,12 +28,12 @@ class FloatingGrippers(GripperAgent):
         pd_ee_delta_pos_grip  Box (4 * A,): per gripper such a vector, then the grip: closed while > 0.
     """
 
-    robot: KinematicArticulation
+    robot: FloatingArticulation
     NUMBERS_PER_GRIPPER = NUMBERS_PER_GRIPPER
 
     def _load_articulation(self, initial_pose: sapien.Pose | None = None) -> None:
         solver, mine = self.scene.solver, self.scene.claim_grippers(self.num_grippers)
-        self.robot = KinematicArticulation(
+        self.robot = FloatingArticulation(
             self.scene,
             self.body_name,
             positions=solver.gripper_positions[:, mine],

@@ -58,4 +58,6 @@ class RopeWrappingExpert(Expert):
         winding = self.env.signed_winding(rotation)
         half = math.pi * (1.0 - winding.abs())
         ahead = torch.where(winding < 0.0, -1.0, 1.0) * half.clamp(-LOOK_AHEAD, LOOK_AHEAD)
+        first, last = self.env.start_nodes.unbind(1)
+        ahead = torch.where(first < last, ahead, -ahead)
         return torch.stack([-ahead, ahead], dim=1)

@@ -13,9 +13,10 @@ from mani_skill.utils.structs.types import SimConfig
 
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
 from maniskill_grpd.tasks.observation.observed_worlds import GRAPH_FEATURES, ObservedWorlds
+from maniskill_grpd.tasks.options.arm_bases import arm_bases
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
-from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, gripper_teams
+from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, control_modes, supported_robots
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.substeps import check_substeps
@@ -37,7 +38,7 @@ OUT_OF_REACH = 100.0
 
 
 class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictures):
-    """A batch of worlds in which floating grippers manipulate a deformable object.
+    """A batch of worlds in which floating grippers, or arms, manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
     takes pictures of it. `num_envs` is free on both devices.
@@ -65,10 +66,12 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         num_grippers: Number of grippers A, one of `GRIPPER_COUNTS`.
         robot_uids: "floating_grippers_<A>", which drives all of them (default), or a tuple of
             agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions
-            are then a dictionary with one entry per agent.
+            are then a dictionary with one entry per agent. Or a tuple of arms, one for each gripper, as in ("panda", "panda")
+            (docs/robots.md).
+        robot_poses: Where arms stand, see `arm_bases`; round the middle of the table by default.
         grasp: "fixed" (default): grippers hold the object for the whole episode; "free": they hold
             it at the start, and the action opens and closes them.
-        control_mode: "pd_ee_delta_pos" for fixed grasps, "pd_ee_delta_pos_grip" for free ones.
+        control_mode: "pd_ee_delta_pos" for fixed grasps, "pd_ee_delta_pos_grip" for free ones; arms have others too.
         material: Factors on the material of the object, drawn anew for each episode, by property
             ("stretch", "bend", "mass", "friction", "damping"): (smallest, largest), or a number.
         pose_range: "full", "half" or "quarter": share of the task's pose ranges that is sampled.
@@ -102,6 +105,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         render_backend: str | None = "auto",
         num_grippers: int | None = None,
         robot_uids: Team | None = None,
+        robot_poses: Any | None = None,
         grasp: str | None = None,
         control_mode: str | None = None,
         material: Mapping[str, float | Sequence[float]] | None = None,
@@ -119,7 +123,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         if num_envs < 1:
             raise ValueError(f"num_envs must be >= 1, got {num_envs}")
         self.num_grippers, team = choose_team(num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS)
-        self.grasp, control_mode = choose_grasp(grasp, control_mode)
+        self._bases = arm_bases(team, robot_poses)
+        self.grasp, control_mode = choose_grasp(grasp, control_mode, control_modes(team))
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
@@ -149,7 +154,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
         if "GRIPPER_COUNTS" in cls.__dict__ and "SUPPORTED_ROBOTS" not in cls.__dict__:
-            cls.SUPPORTED_ROBOTS = gripper_teams(cls.GRIPPER_COUNTS)
+            cls.SUPPORTED_ROBOTS = supported_robots(cls.GRIPPER_COUNTS)
 
     def _check_hooks(self) -> None:
         task = type(self)
@@ -254,12 +259,6 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         )
         self.scene.px.timestep = self.sim_timestep
 
-    def _load_agent(self, options: dict) -> None:
-        team = self.robot_uids
-        super()._load_agent(options, sapien.Pose() if isinstance(team, str) else [sapien.Pose()] * len(team))
-        for agent in self._agents:
-            agent.robot.set_floor(self.solver.plane, self.solver.model.radius)
-
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self.allocate_episode()
@@ -274,6 +273,14 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict) -> None:
         worlds = self._world_indices(env_idx)
+        self._start_within_reach(worlds)
+        self.scene.grip_commands[worlds] = True
+        for agent in self._agents:
+            agent.robot.place(worlds)
+        self.forget_measurement()
+
+    def _start_anywhere(self, worlds: torch.Tensor) -> None:
+        """Draw an episode for some worlds (b,), and put objects and grippers where it starts."""
         solver = self.solver
         solver.gravity[worlds] = torch.tensor([0.0, 0.0, -STANDARD_GRAVITY], device=self.device)
         height = 0.0 if self.HAS_TABLE else -OUT_OF_REACH
@@ -281,15 +288,11 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         solver.reset(worlds, variants=self.draw_choice(worlds, len(self.models)))
         positions, nodes = self.start_episode(worlds)
         self._check_start(worlds, positions, nodes)
-        self.start_nodes[worlds] = nodes
+        self.start_nodes[worlds] = self._share_nodes(worlds, positions, nodes)
         if self._material.num_draws:
             (draws,) = self.draw_uniform(worlds, self._material.num_draws)
             solver.set_material(worlds, **self._material.factors(draws))
         solver.reset(worlds, positions, self.start_nodes[worlds])
-        self.scene.grip_commands[worlds] = True
-        for agent in self._agents:
-            agent.robot.place(worlds)
-        self.forget_measurement()
 
     # ------------------------------------------------------------------ one control step
 
@@ -303,8 +306,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             agent.robot.finish_motion(self.control_timestep)
 
     def get_info(self) -> dict[str, torch.Tensor]:
-        """Return `elapsed_steps` and what `evaluate` measures, as copies."""
-        info = super().get_info()
+        """Return `elapsed_steps`, what `evaluate` measures and how arms get on, as copies."""
+        info = super().get_info() | self._arm_info()
         info["elapsed_steps"] = info["elapsed_steps"].clone()
         return info
 

@@ -29,21 +29,30 @@ def test_contradictions_are_refused():
         choose_team(2, ("floating_grippers_1", "floating_grippers_2"), (2, 3, 4), 4)
     with pytest.raises(ValueError, match="robot_uids must be one of"):
         choose_team(None, ("floating_grippers_4", "floating_grippers_1"), (2, 3, 4), 4)
+    with pytest.raises(ValueError, match=r"grips for \[2, 3\] arms, got 4"):
+        choose_team(None, ("panda",) * 4, (2, 3), 2)
+    with pytest.raises(ValueError, match="num_grippers=3 contradicts"):
+        choose_team(3, ("panda", "xarm7"), (2, 3), 2)
+    with pytest.raises(ValueError, match=r"or a tuple of \['panda', 'xarm7'\], got \('panda', 'floating_grippers_1'\)"):
+        choose_team(None, ("panda", "floating_grippers_1"), (2, 3), 2)
     with pytest.raises(ValueError, match=r"num_grippers must be one of \[2\], got 1"):
         choose_team(1, None, (2,), 2)
 
 
 def test_grasp_and_control_mode_go_together():
-    assert choose_grasp(None, None) == ("fixed", "pd_ee_delta_pos")
-    assert choose_grasp("free", None) == ("free", "pd_ee_delta_pos_grip")
-    assert choose_grasp(None, "pd_ee_delta_pos_grip") == ("free", "pd_ee_delta_pos_grip")
+    modes = ("pd_ee_delta_pos",)
+    assert choose_grasp(None, None, modes) == ("fixed", "pd_ee_delta_pos")
+    assert choose_grasp("free", None, modes) == ("free", "pd_ee_delta_pos_grip")
+    assert choose_grasp(None, "pd_ee_delta_pos_grip", modes) == ("free", "pd_ee_delta_pos_grip")
+    assert choose_grasp("free", "pd_joint_pos_grip", (*modes, "pd_joint_pos")) == ("free", "pd_joint_pos_grip")
+    assert choose_grasp(None, "pd_joint_pos", (*modes, "pd_joint_pos")) == ("fixed", "pd_joint_pos")
     for grasp, mode, message in (
         ("fixed", "pd_ee_delta_pos_grip", "grasp='fixed' goes with control_mode='pd_ee_delta_pos'"),
         ("open", None, "grasp must be one of"),
         (None, "pd_joint_pos", "control_mode must be one of"),
     ):
         with pytest.raises(ValueError, match=message):
-            choose_grasp(grasp, mode)
+            choose_grasp(grasp, mode, modes)
 
 
 def test_several_agents_do_what_one_does(make_env, draw_actions):

@@ -10,7 +10,8 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms.arm_description import ArmDescription
-from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms, follow_kernel, forward, place
+from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms, follow_kernel
+from maniskill_grpd.agents.arms.placing import forward, place
 from maniskill_grpd.agents.arms.urdf import REVOLUTE as TURNS
 from maniskill_grpd.physics import Solver
 from maniskill_grpd.physics.launches import Launches, choose_num_threads, quiet_warp

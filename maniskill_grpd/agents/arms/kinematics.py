@@ -15,16 +15,14 @@ NUM_JOINTS = 7
 FIXED, REVOLUTE, PRISMATIC = wp.constant(0), wp.constant(1), wp.constant(2)
 # An arm has arrived when its TCP is this near [m] and its hand turned by no more than this [rad].
 ARRIVAL, TURN_ARRIVAL = wp.constant(1.0e-5), wp.constant(1.0e-4)
-# Newton steps within a control step, and of an arm that is put somewhere.
-STEPS, PLACING_STEPS = wp.constant(8), wp.constant(100)
+# Newton steps within a control step.
+STEPS = wp.constant(8)
 # Damping per squared error (Sugihara 2011) [1/m^2], and its bounds.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = wp.constant(0.1), wp.constant(1.0e-6), wp.constant(0.02)
-# Share of the way to the posture that the joints are drawn in one control step.
-POSTURE_GAIN = wp.constant(0.05)
+# Share of the way to the posture that the joints are drawn in one control step, and the largest share of what they can move.
+POSTURE_GAIN, POSTURE_SHARE = wp.constant(0.05), wp.constant(0.2)
 # Rounds in which object, colliders and arms take turns to shorten the motion of grippers.
 ROUNDS = wp.constant(4)
-# Angles of the first joint that are tried when an arm is put somewhere.
-SEEDS = wp.constant(16)
 
 Joints = wp.types.vector(length=NUM_JOINTS, dtype=wp.float32)
 Columns = wp.types.matrix(shape=(6, NUM_JOINTS), dtype=wp.float32)
@@ -239,9 +237,15 @@ def step_arm(arms: Arms, world: int, arm: int, dt: float, target: wp.vec3):
         bounds.low[joint] = wp.max(arms.lower[arm, joint], arms.qpos[world, arm, joint] - way)
         bounds.high[joint] = wp.min(arms.upper[arm, joint], arms.qpos[world, arm, joint] + way)
         start[joint] = wp.clamp(arms.seeds[world, arm, joint], bounds.low[joint], bounds.high[joint])
-        drawn[joint] = POSTURE_GAIN * (arms.postures[world, arm, joint] - start[joint])
+        pull = POSTURE_GAIN * (arms.postures[world, arm, joint] - start[joint])
+        drawn[joint] = wp.clamp(pull, -POSTURE_SHARE * way, POSTURE_SHARE * way)
     rows = 3 + 3 * arms.holds_rotation[arm]
     q = approach(arms, world, arm, start, bounds, drawn, target, arms.rotations[world, arm], rows, STEPS)
+    missed = wp.length(target - tool_position(arms, world, arm, q))
+    if missed > ARRIVAL:  # joints that are drawn may be missing where they are needed
+        other = approach(arms, world, arm, start, bounds, Joints(), target, arms.rotations[world, arm], rows, STEPS)
+        if wp.length(target - tool_position(arms, world, arm, other)) < missed:
+            q = other
     for joint in range(wp.static(NUM_JOINTS)):
         arms.next[world, arm, joint] = q[joint]
     arms.reached[world, arm] = tool_position(arms, world, arm, q)
@@ -310,54 +314,3 @@ def follow_kernel(has_colliders: bool) -> wp.Kernel:
             settle_arm(arms, world, arm, dt, agreed, worlds)
 
     return follow
-
-
-@wp.kernel(enable_backward=False)
-def forward(arms: Arms, q: wp.array3d(dtype=float), tools: wp.array2d(dtype=wp.transform)):
-    """Write where joint positions (B, A, J) bring the TCPs, (B, A)."""
-    world, arm = wp.tid()
-    positions = Joints()
-    for joint in range(wp.static(NUM_JOINTS)):
-        positions[joint] = q[world, arm, joint]
-    trace = trace_arm(arms, world, arm, positions)
-    tools[world, arm] = trace.tool
-
-
-@wp.func
-def best_seed(arms: Arms, world: int, arm: int, target: wp.vec3) -> Joints:
-    """Return the rest posture, with its first joint turned to where it brings the TCP nearest to a target."""
-    trial = Joints()
-    for joint in range(wp.static(NUM_JOINTS)):
-        trial[joint] = arms.rest[arm, joint]
-    found = trial * 1.0
-    least = wp.length(target - tool_position(arms, world, arm, trial))
-    for seed in range(SEEDS):
-        turn = wp.PI * (2.0 * (float(seed) + 0.5) / float(SEEDS) - 1.0)
-        trial[0] = wp.clamp(arms.rest[arm, 0] + turn, arms.lower[arm, 0], arms.upper[arm, 0])
-        gap = wp.length(target - tool_position(arms, world, arm, trial))
-        found[0] = wp.where(gap < least, trial[0], found[0])
-        least = wp.min(gap, least)
-    return found
-
-
-@wp.kernel(enable_backward=False)
-def place(
-    arms: Arms,
-    worlds: wp.array(dtype=wp.int64),
-    points: wp.array2d(dtype=wp.vec3),
-    q: wp.array3d(dtype=float),
-    gaps: wp.array2d(dtype=float),
-):
-    """Write joint positions (b, A, J) with which arms of some worlds (b,) come nearest to points (b, A), and how near."""
-    row, arm = wp.tid()
-    world = int(worlds[row])
-    bounds = Range()
-    for joint in range(wp.static(NUM_JOINTS)):
-        bounds.low[joint] = arms.lower[arm, joint]
-        bounds.high[joint] = arms.upper[arm, joint]
-    target = points[row, arm]
-    start = best_seed(arms, world, arm, target)
-    found = approach(arms, world, arm, start, bounds, Joints(), target, wp.quat_identity(), 3, PLACING_STEPS)
-    for joint in range(wp.static(NUM_JOINTS)):
-        q[row, arm, joint] = found[joint]
-    gaps[row, arm] = wp.length(target - tool_position(arms, world, arm, found))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from maniskill_grpd.agents.floating_grippers import NUMBERS_PER_GRIPPER
+from collections.abc import Iterable
 
-CONTROL_MODES = {"fixed": "pd_ee_delta_pos", "free": "pd_ee_delta_pos_grip"}
-"""The control mode that goes with each value of the option `grasp`."""
+FREE_SUFFIX = "_grip"
+"""What is behind the name of a control mode whose action opens and closes grippers."""
 
 
-def choose_grasp(grasp: str | None, control_mode: str | None) -> tuple[str, str]:
+def choose_grasp(grasp: str | None, control_mode: str | None, modes: Iterable[str]) -> tuple[str, str]:
     """Bring the options `grasp` and `control_mode` together: each follows from the other.
+
+    Args:
+        grasp: "fixed", "free" or None.
+        control_mode: One of `modes`, perhaps with "_grip" behind it, or None.
+        modes: Names of the control modes of the agents, the default first.
 
     Returns:
         "fixed" (default) or "free", and the control mode.
@@ -17,12 +22,15 @@ def choose_grasp(grasp: str | None, control_mode: str | None) -> tuple[str, str]
     Raises:
         ValueError: If one is unknown, or they contradict each other.
     """
-    if grasp not in (None, *CONTROL_MODES):
-        raise ValueError(f"grasp must be one of {list(CONTROL_MODES)}, got {grasp!r}")
-    if control_mode not in (None, *NUMBERS_PER_GRIPPER):
-        raise ValueError(f"control_mode must be one of {list(NUMBERS_PER_GRIPPER)}, got {control_mode!r}")
-    if grasp is None:
-        grasp = "free" if control_mode == CONTROL_MODES["free"] else "fixed"
-    if control_mode not in (None, CONTROL_MODES[grasp]):
-        raise ValueError(f"grasp={grasp!r} goes with control_mode={CONTROL_MODES[grasp]!r}, got {control_mode!r}")
-    return grasp, CONTROL_MODES[grasp]
+    modes = list(modes)
+    if grasp not in (None, "fixed", "free"):
+        raise ValueError(f"grasp must be one of {['fixed', 'free']}, got {grasp!r}")
+    allowed = modes + [mode + FREE_SUFFIX for mode in modes]
+    if control_mode not in (None, *allowed):
+        raise ValueError(f"control_mode must be one of {allowed}, got {control_mode!r}")
+    is_free = grasp == "free" if control_mode is None else control_mode.endswith(FREE_SUFFIX)
+    mode = (control_mode or modes[0]).removesuffix(FREE_SUFFIX)
+    wanted = mode + FREE_SUFFIX if grasp == "free" else mode
+    if control_mode is not None and grasp is not None and control_mode != wanted:
+        raise ValueError(f"grasp={grasp!r} goes with control_mode={wanted!r}, got {control_mode!r}")
+    return ("free", mode + FREE_SUFFIX) if is_free else ("fixed", mode)

@@ -11,6 +11,7 @@ from mani_skill.envs.scene import ManiSkillScene
 if TYPE_CHECKING:
     from mani_skill.utils.building.actor_builder import ActorBuilder
 
+    from maniskill_grpd.agents import ArmBodies
     from maniskill_grpd.physics import Solver
 
 
@@ -24,6 +25,7 @@ class BatchedScene(ManiSkillScene):
     Attributes:
         solver: The deformable worlds; agents find their grippers in it.
         grip_commands: Whether each gripper is to be closed, (B, A) bool; obeyed where grasps are free.
+        arms: The arms whose tools the grippers are, or None where grippers float.
     """
 
     def __init__(self, stage: sapien.Scene, solver: Solver, *, has_free_grasps: bool, **settings: Any) -> None:
@@ -37,6 +39,7 @@ class BatchedScene(ManiSkillScene):
         """
         self.solver = solver
         self.grip_commands = torch.ones_like(solver.closed)
+        self.arms: ArmBodies | None = None
         self._has_free_grasps = has_free_grasps
         self._num_claimed_grippers = 0
         super().__init__([stage], **settings)
@@ -65,9 +68,11 @@ class BatchedScene(ManiSkillScene):
         return self.backend.render_device is not None
 
     def step(self) -> None:
-        """Open and close grippers as commanded, then advance all worlds by one control step."""
+        """Open and close grippers as commanded, let arms shorten their motion, then advance all worlds by one control step."""
         if self._has_free_grasps:
             self.solver.set_closed(self.grip_commands)
+        if self.arms is not None:
+            self.arms.follow()
         self.solver.step()
 
     def create_actor_builder(self) -> ActorBuilder:

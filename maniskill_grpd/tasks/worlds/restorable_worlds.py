@@ -6,35 +6,28 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from mani_skill.agents.multi_agent import MultiAgent
 
-from maniskill_grpd.agents import GripperAgent
 from maniskill_grpd.physics import Solver
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.embodied_worlds import EmbodiedWorlds
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
 from maniskill_grpd.tasks.worlds.rigid_motion import checked_motion, move_solver
 from maniskill_grpd.tasks.worlds.state_layout import StateDict, read_flat, read_rows
 
 
-class RestorableWorlds(MeasuredWorlds):
+class RestorableWorlds(EmbodiedWorlds, MeasuredWorlds):
     """The part of an environment that knows everything on which the future of its worlds depends.
 
     ManiSkill's own methods forget custom groups of a flat state and the targets of controllers.
     """
 
-    agent: GripperAgent | MultiAgent
     scene: BatchedScene
     solver: Solver
     """State of all worlds."""
     start_nodes: torch.Tensor
     """Node that each gripper held at the start of the episode, (B, A) int64."""
     _episode: EpisodeTensors
-
-    @property
-    def _agents(self) -> list[GripperAgent]:
-        """The agents, in the order of their grippers."""
-        return list(self.agent.agents) if isinstance(self.agent, MultiAgent) else [self.agent]
 
     def get_state_dict(self) -> StateDict:
         """Return everything that the future depends on, as copies; leaves (B, D)."""
