@@ -16,7 +16,7 @@ FIXED, REVOLUTE, PRISMATIC = wp.constant(0), wp.constant(1), wp.constant(2)
 # An arm has arrived when its TCP is this near [m] and its hand turned by no more than this [rad].
 ARRIVAL, TURN_ARRIVAL = wp.constant(1.0e-5), wp.constant(1.0e-4)
 # Newton steps within a control step.
-STEPS = wp.constant(8)
+STEPS = wp.constant(12)
 # Damping per squared error (Sugihara 2011) [1/m^2], and its bounds.
 DAMPING, LEAST_DAMPING, LARGEST_DAMPING = wp.constant(0.1), wp.constant(1.0e-6), wp.constant(0.02)
 # Share of the way to the posture that the joints are drawn in one control step, and the largest share of what they can move.
@@ -100,19 +100,33 @@ def tool_position(arms: Arms, world: int, arm: int, q: Joints) -> wp.vec3:
 
 
 @wp.func
-def jacobian(arms: Arms, arm: int, trace: Trace, free: Joints, rows: int) -> Columns:
-    """Return the velocity of the TCP (rows 0 to 2) and of the hand's turn (3 to 5) per speed of each free joint."""
+def jacobian(arms: Arms, arm: int, trace: Trace, rows: int) -> Columns:
+    """Return the velocity of the TCP (rows 0 to 2) and of the hand's turn (3 to 5) per speed of each joint."""
     found = Columns()
     tcp = wp.transform_get_translation(trace.tool)
     for joint in range(wp.static(NUM_JOINTS)):
         axis = wp.vec3(trace.axes[0, joint], trace.axes[1, joint], trace.axes[2, joint])
         origin = wp.vec3(trace.axes[3, joint], trace.axes[4, joint], trace.axes[5, joint])
         turns = arms.kinds[arm, joint] == REVOLUTE
-        velocity = wp.where(turns, wp.cross(axis, tcp - origin), axis) * free[joint]
+        velocity = wp.where(turns, wp.cross(axis, tcp - origin), axis)
         for k in range(3):
             found[k, joint] = velocity[k]
             if rows == 6 and turns:
-                found[3 + k, joint] = axis[k] * free[joint]
+                found[3 + k, joint] = axis[k]
+    return found
+
+
+@wp.func
+def without_blocked(columns: Columns, error: Six, q: Joints, bounds: Range, rows: int) -> Columns:
+    """Return the Jacobian without the joints that are at an end of their range and would have to leave it."""
+    found = columns * 1.0
+    for joint in range(wp.static(NUM_JOINTS)):
+        slope = float(0.0)
+        for i in range(rows):
+            slope += columns[i, joint] * error[i]
+        if (q[joint] <= bounds.low[joint] and slope <= 0.0) or (q[joint] >= bounds.high[joint] and slope >= 0.0):
+            for i in range(rows):
+                found[i, joint] = 0.0
     return found
 
 
@@ -175,13 +189,13 @@ def has_arrived(error: Six) -> bool:
 
 
 @wp.func
-def newton_step(columns: Columns, error: Six, drawn: Joints, rows: int) -> Joints:
+def newton_step(columns: Columns, error: Six, drawn: Joints, boost: float, rows: int) -> Joints:
     """Return a change of the joints, dq = J^T (J J^T + d)^-1 (e - J dq0) + dq0: what dq0 would do to the TCP is undone."""
     rest = error * 1.0
     for joint in range(wp.static(NUM_JOINTS)):
         for i in range(rows):
             rest[i] = rest[i] - columns[i, joint] * drawn[joint]
-    damping = wp.clamp(DAMPING * wp.dot(error, error), LEAST_DAMPING, LARGEST_DAMPING)
+    damping = boost * wp.clamp(DAMPING * wp.dot(error, error), LEAST_DAMPING, LARGEST_DAMPING)
     y = backsolve(factorize(columns, damping, rows), rest, rows)
     change = drawn * 1.0
     for joint in range(wp.static(NUM_JOINTS)):
@@ -205,25 +219,33 @@ def approach(
 ) -> Joints:
     """Bring a TCP to a target by damped least squares, with the joints drawn somewhere in the first step.
 
-    Joints that would leave their range stay at its end from then on, and the others do the rest (Baerlocher and Boulic 2004).
+    Joints at the end of their range do not move out of it, and the others do the rest: the projected Newton method (Bertsekas
+    1982), here with the damping of Levenberg and Marquardt. A step that does not come nearer is taken back, but for the first.
     """
     q = start * 1.0
-    free = Joints()
-    for joint in range(wp.static(NUM_JOINTS)):
-        free[joint] = wp.where(arms.kinds[arm, joint] == FIXED, 0.0, 1.0)
+    best = start * 1.0
     pull = drawn * 1.0
+    least = float(1.0e30)
+    boost = float(1.0)
     for step in range(steps):
         trace = trace_arm(arms, world, arm, q)
         error = tool_error(trace, target, rotation, rows)
-        if step > 0 and has_arrived(error):
-            break
-        change = newton_step(jacobian(arms, arm, trace, free, rows), error, pull, rows)
-        for joint in range(wp.static(NUM_JOINTS)):
-            moved = q[joint] + change[joint]
-            free[joint] = wp.where(moved < bounds.low[joint] or moved > bounds.high[joint], 0.0, free[joint])
-            q[joint] = wp.clamp(moved, bounds.low[joint], bounds.high[joint])
-            pull[joint] = 0.0
-    return q
+        size = wp.dot(error, error)
+        if size <= least or (step == 1 and wp.dot(drawn, drawn) > 0.0):
+            best = q * 1.0
+            least = size
+            if step > 0 and has_arrived(error):
+                break
+            boost = wp.max(0.25 * boost, 1.0)
+            columns = without_blocked(jacobian(arms, arm, trace, rows), error, q, bounds, rows)
+            change = newton_step(columns, error, pull, boost, rows)
+            for joint in range(wp.static(NUM_JOINTS)):
+                q[joint] = wp.clamp(q[joint] + change[joint], bounds.low[joint], bounds.high[joint])
+                pull[joint] = 0.0
+        else:
+            q = best * 1.0
+            boost *= 32.0
+    return best
 
 
 @wp.func
