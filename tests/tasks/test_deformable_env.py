@@ -380,7 +380,7 @@ def test_no_action_holds_the_grippers_still(make_env):
         ({"sim_config": {"sim_freq": 100}}, "sim_freq equal to control_freq"),
         ({"num_grippers": 1}, r"num_grippers must be one of \[2, 3, 4\], got 1"),
         ({"num_grippers": 5}, r"num_grippers must be one of \[2, 3, 4\], got 5"),
-        ({"robot_uids": "panda"}, "robot_uids must be one of"),
+        ({"robot_uids": "panda"}, "grips for .* arms, got 1"),
         ({"robot_uids": "floating_grippers_2", "num_grippers": 3}, "contradicts"),
         ({"resolution": 19}, r"resolution must be in \[20, 200\] nodes, got 19"),
         ({"resolution": 201}, r"resolution must be in \[20, 200\]"),

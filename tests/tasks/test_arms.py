@@ -1,0 +1,191 @@
+"""Tasks with arms in place of floating grippers."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import sapien
+import torch
+from gymnasium import spaces
+from scipy.spatial.transform import Rotation
+
+import maniskill_grpd  # noqa: F401  (registers the tasks)
+
+PAIR = ("panda", "panda")
+KEYS = ("panda-0", "panda-1")
+
+
+@pytest.fixture
+def make_arms():
+    made = []
+
+    def make(task="ClothFolding-v1", num_envs=2, robot_uids=PAIR, **settings):
+        made.append(
+            gym.make(task, num_envs=num_envs, robot_uids=robot_uids, sim_backend="cpu", num_threads=1, **settings).unwrapped
+        )
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def act(env, seed, scale=1.0):
+    """Return an action for every arm, by the name of its agent."""
+    generator = torch.Generator().manual_seed(seed)
+    return {key: scale * (2 * torch.rand(space.shape, generator=generator) - 1) for key, space in env.action_space.items()}
+
+
+def tool_gaps(env):
+    """Return how far the grippers are from where the joints have the TCPs, (B, A) [m]."""
+    arms = env.scene.arms
+    return (arms.forward(arms.qpos)[..., :3] - env.solver.gripper_positions).norm(dim=-1)
+
+
+@pytest.mark.parametrize(
+    ("task", "num"), [("ClothFolding-v1", 2), ("RopeShaping-v1", 3), ("RopeWrapping-v1", 2), ("ClothHanging-v1", 4)]
+)
+def test_grippers_are_the_tools_of_the_arms_in_all_tasks(make_arms, task, num):
+    env = make_arms(task, 3, ("panda",) * num)
+    env.reset(seed=4)
+    assert (tool_gaps(env) < 1e-3).all()
+    for step in range(5):
+        *_, info = env.step(act(env, step))
+        assert (tool_gaps(env) < 2e-5).all()
+        held = env.solver.positions.gather(1, env.start_nodes[..., None].expand(-1, -1, 3))
+        torch.testing.assert_close(held, env.solver.gripper_positions)
+    assert info["tracking_error"].shape == (3,)
+
+
+def test_what_arms_can_follow_they_do_to_the_bit(make_arms):
+    """The same actions through arms and by floating grippers that hold the same nodes: the same cloth, until an arm cannot."""
+    arms = make_arms(num_envs=4, pose_range="quarter")
+    floating = gym.make("ClothFolding-v1", num_envs=4, num_grippers=2, sim_backend="cpu", num_threads=1, pose_range="quarter")
+    arms.reset(seed=3), floating.reset(seed=3)
+    grippers = floating.unwrapped
+    grippers.solver.set_state(arms.solver.state())
+    for step in range(10):
+        actions = act(arms, step, 0.5)
+        *_, info = arms.step(actions)
+        grippers.step(torch.cat([actions[key] for key in KEYS], dim=1))
+    assert (info["tracking_error"] == 0).all()
+    assert torch.equal(arms.solver.positions, grippers.solver.positions)
+    assert torch.equal(arms.solver.gripper_positions, grippers.solver.gripper_positions)
+    floating.close()
+
+
+@pytest.mark.parametrize("mode", ["pd_ee_delta_pos", "pd_ee_delta_pose", "pd_joint_delta_pos", "pd_joint_pos"])
+@pytest.mark.parametrize("suffix", ["", "_grip"])
+def test_control_modes_have_their_numbers_and_move_what_they_say(make_arms, mode, suffix):
+    env = make_arms("RopeWrapping-v1", control_mode=mode + suffix)
+    env.reset(seed=1)
+    numbers = {"pd_ee_delta_pos": 3, "pd_ee_delta_pose": 6, "pd_joint_delta_pos": 7, "pd_joint_pos": 7}[mode]
+    assert [space.shape for space in env.action_space.values()] == [(2, numbers + bool(suffix))] * 2
+    assert env.grasp == ("free" if suffix else "fixed")
+    arms = env.scene.arms
+    before, turned = arms.qpos.clone(), Rotation.from_quat(arms.rotations.reshape(-1, 4).numpy())
+    action = torch.zeros(2, numbers)
+    if mode == "pd_ee_delta_pose":
+        action[:, 3:] = torch.tensor([0.0, 0.0, 0.5])
+    elif mode == "pd_joint_delta_pos":
+        action[:, 6] = 0.5  # turns the hand about the TCP: no grip needs to move
+    elif mode == "pd_joint_pos":
+        action = before[:, 0] + torch.tensor([0.0] * 6 + [0.05])
+    still = {"pd_joint_pos": before[:, 1]}.get(mode, torch.zeros(2, numbers))
+    grip = torch.ones(2, bool(suffix))
+    there = env.solver.gripper_positions.clone()
+    env.step({KEYS[0]: torch.cat([action, grip], dim=1), KEYS[1]: torch.cat([still, grip], dim=1)})
+    torch.testing.assert_close(env.solver.gripper_positions, there, atol=1e-3, rtol=0)
+    if mode in ("pd_joint_delta_pos", "pd_joint_pos"):
+        torch.testing.assert_close((arms.qpos - before)[:, 0], torch.tensor([0.0] * 6 + [0.05]).expand(2, 7), atol=2e-4, rtol=0)
+        torch.testing.assert_close(arms.qpos[:, 1], before[:, 1], atol=2e-4, rtol=0)
+    if mode == "pd_ee_delta_pose":
+        turns = (Rotation.from_quat(arms.rotations.reshape(-1, 4).numpy()) * turned.inv()).as_rotvec().reshape(2, 2, 3)
+        np.testing.assert_allclose(turns[:, 0], [[0.0, 0.0, 0.05]] * 2, atol=1e-3)
+        np.testing.assert_allclose(turns[:, 1], 0.0, atol=1e-3)
+
+
+def test_states_are_restored_bitwise_and_worlds_start_alone(make_arms):
+    env = make_arms("RopeWrapping-v1", 3, obs_mode="state+graph")
+    env.reset(seed=[1, 2, 3])
+    env.step(act(env, 0))
+    state = env.get_state_dict()
+    assert state["articulations"]["panda-agent-0"].shape == (3, 13 + 2 * 9 + 3)
+    flat = env.get_state()
+    first = [env.step(act(env, step))[0]["graph"] for step in range(1, 4)][-1]
+    for restore, value in ((env.set_state_dict, state), (env.set_state, flat)):
+        restore(value)
+        again = [env.step(act(env, step))[0]["graph"] for step in range(1, 4)][-1]
+        for key in ("positions", "velocities"):
+            for left, right in zip(_leaves(first), _leaves(again), strict=True):
+                assert torch.equal(left, right), key
+    alone = make_arms("RopeWrapping-v1", 1)
+    alone.reset(seed=2)
+    env.reset(seed=2, options={"env_idx": torch.tensor([1])})
+    assert torch.equal(alone.scene.arms.qpos[0], env.scene.arms.qpos[1])
+    assert torch.equal(alone.solver.positions[0], env.solver.positions[1])
+
+
+def _leaves(tree):
+    return [leaf for value in tree.values() for leaf in (_leaves(value) if isinstance(value, dict) else [value])]
+
+
+def test_arms_move_with_their_worlds(make_arms):
+    """Bases, scene and gravity turned together: the same joints, and positions that are turned."""
+    plain, moved = make_arms("RopeWrapping-v1"), make_arms("RopeWrapping-v1")
+    plain.reset(seed=5), moved.reset(seed=5)
+    rotation = torch.as_tensor(Rotation.random(random_state=2).as_matrix(), dtype=torch.float32)
+    shift = torch.tensor([0.3, -0.2, 0.5])
+    moved.move_worlds(rotation, shift)
+    for step in range(5):
+        actions = act(plain, step, 0.4)
+        plain.step(actions), moved.step({key: value @ rotation.T for key, value in actions.items()})
+    torch.testing.assert_close(moved.scene.arms.qpos, plain.scene.arms.qpos, atol=2e-3, rtol=0)
+    expected = plain.solver.gripper_positions @ rotation.T + shift
+    torch.testing.assert_close(moved.solver.gripper_positions, expected, atol=2e-4, rtol=0)
+
+
+def test_arms_are_observed_as_maniskill_observes_them(make_arms):
+    env = make_arms("ClothFolding-v1", obs_mode="state_dict")
+    obs, _ = env.reset(seed=0)
+    assert isinstance(env.action_space, spaces.Dict)
+    agent = obs["agent"]["panda-1"]
+    assert [agent[key].shape for key in ("qpos", "qvel", "tcp_pose")] == [(2, 9), (2, 9), (2, 7)]
+    assert (agent["qpos"][:, 7:] == 0.0).all()  # closed fingers
+    torch.testing.assert_close(agent["tcp_pose"][:, :3], env.solver.gripper_positions[:, 1])
+    hand = Rotation.from_quat(agent["tcp_pose"][:, [4, 5, 6, 3]].numpy()).apply([0.0, 0.0, 1.0])
+    assert (hand[:, 2] < 0.0).all()  # it looks down
+
+
+def test_arms_stand_where_they_are_told_and_other_arms_are_descriptions(make_arms):
+    poses = [sapien.Pose([-0.6, 0.2, 0.0]), [-0.6, -0.2, 0.0, 1.0, 0.0, 0.0, 0.0]]
+    env = make_arms("ClothFolding-v1", robot_uids=("panda", "xarm7"), robot_poses=poses, pose_range="quarter")
+    obs, _ = env.reset(seed=0)
+    assert set(env.action_space) == {"panda-0", "xarm7-1"}
+    np.testing.assert_allclose(env.scene.arms.bases[0, :, :3], [[-0.6, 0.2, 0.0], [-0.6, -0.2, 0.0]], atol=1e-6)
+    env.step({key: torch.zeros(space.shape) for key, space in env.action_space.items()})
+    assert (tool_gaps(env) < 2e-5).all()
+
+
+def test_what_cannot_be_is_refused(make_arms):
+    for settings, message in (
+        ({"robot_uids": ("panda",) * 5}, "this task has grips for .* arms, got 5"),
+        ({"robot_uids": ("panda", "pander")}, "or a tuple of"),
+        ({"robot_poses": [sapien.Pose()]}, "robot_poses must be 2 poses, one for each arm, got 1"),
+        ({"robot_poses": [[0.0] * 7] * 2}, "a position and a unit quaternion"),
+        ({"robot_poses": [sapien.Pose([9.0, 0, 0]), sapien.Pose()]}, "do not reach where episodes start"),
+        ({"robot_uids": None, "robot_poses": [sapien.Pose()]}, "has no bases"),
+        ({"control_mode": "pd_ee_pose"}, "control_mode must be one of"),
+        ({"control_mode": "pd_joint_pos", "grasp": "free"}, "goes with control_mode='pd_joint_pos_grip'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_arms(num_envs=1, **settings)
+    env = make_arms("RopeWrapping-v1", control_mode="pd_joint_pos")
+    env.reset(seed=0)
+    still = {key: env.scene.arms.qpos[:, index].clone() for index, key in enumerate(KEYS)}
+    wild = still[KEYS[0]].clone()
+    wild[1, 3] = 1.0
+    with pytest.raises(ValueError, match=r"targets of panda_joint4 must be in \[-3.0718, -0.0698\] rad, got 1.0000 in world 1"):
+        env.step({**still, KEYS[0]: wild})
+    wild[1, 3] = torch.nan
+    with pytest.raises(ValueError, match="must be finite"):
+        env.step({**still, KEYS[0]: wild})
