@@ -20,6 +20,7 @@ from maniskill_grpd.tasks.geometry.cloth_seat import check_middle, hole_outline,
 from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
 from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
+from maniskill_grpd.tasks.geometry.loop_geometry import loop_area
 from maniskill_grpd.tasks.geometry.mesh_outlines import GivenMesh
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
 from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape
@@ -114,9 +115,13 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
     """Way [m] at which that share has fallen to a quarter."""
     ALIGNMENT_WEIGHT = 0.1
     """Share for turning the cloth, felt near the hanger."""
-    PROGRESS_WEIGHT = 0.2
-    """Share for coming down the hanger."""
-    SUCCESS_WEIGHT = 0.5
+    SPREAD_WEIGHT = 0.05
+    """Share for a cloth that is spread between its grippers, or on the hanger: the seat of a slack one does not follow them."""
+    FULL_SPREAD = 0.7
+    """Share of the flat cloth's area between the grippers at which it is earned in full."""
+    PROGRESS_WEIGHT = 0.3
+    """Share for the last 8 cm before the hanger and for coming down it."""
+    SUCCESS_WEIGHT = 0.35
     """Share for success; with release a fifth of it is for opening grippers while the cloth hangs."""
 
     rest_positions: torch.Tensor
@@ -279,10 +284,17 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         near = 1.0 - torch.tanh(hanging.way / self.WAY_SCALE)
         return (
             self.WAY_WEIGHT * near
+            + self.SPREAD_WEIGHT * self._spread(hanging)
             + self.ALIGNMENT_WEIGHT * near * hanging.alignment
             + self.PROGRESS_WEIGHT * hanging.progress
             + self.SUCCESS_WEIGHT * done
         )
+
+    def _spread(self, hanging: Hanging) -> torch.Tensor:
+        """Return how far the cloth is spread between the nodes at which it was taken, in [0, 1], (B,); 1 on the hanger."""
+        flat, now = self.rest_positions[self.variants], self.solver.positions
+        areas = [torch.linalg.vector_norm(loop_area(self.at_start_nodes(points)), dim=-1) for points in (now, flat)]
+        return torch.where(hanging.is_on, 1.0, (areas[0] / (self.FULL_SPREAD * areas[1])).clamp(max=1.0))
 
     def object_values(self, measurement: HangingMeasurement) -> dict[str, torch.Tensor]:
         """Return where the hanger is, seen from the nodes, and which of them come onto it."""

@@ -250,6 +250,28 @@ def test_reward_rises_all_the_way_onto_the_peg(make_env):
     assert (reward_of(base) < reward).all()  # turning pays
 
 
+def test_every_centimetre_of_the_last_ones_before_the_tip_pays(make_env):
+    """On the axis, from 12 cm before the tip through it: no plateau on which a policy could wait, and no step back."""
+    base = make_env(14).unwrapped
+    lay_on_peg(base, np.linspace(-0.12, 0.01, 14), 0.0, 0.0)
+    gain = reward_of(base).diff()
+    assert (gain[:3] > 0.003).all()  # by the way alone
+    assert (gain[4:11] > 0.02).all()
+    assert (gain > 0.0).all()
+
+
+def test_a_slack_cloth_earns_less_until_it_is_on_the_hanger(make_env):
+    """Grippers that bunch: full pay from 70 % of the area on, in proportion below, and no pulling on the peg."""
+    sizes = torch.tensor([0.3, 0.6, 0.85, 1.0])
+    base = make_env(len(sizes)).unwrapped
+    for depth, expected in ((-0.3, (sizes.square() / base.FULL_SPREAD).clamp(max=1.0)), (0.05, torch.ones(4))):
+        lay_on_peg(base, depth, 0.0, 0.0)
+        middle = base.seat_loop()[:, :-1].mean(dim=1, keepdim=True)
+        base.solver.positions.copy_(middle + sizes[:, None, None] * (base.solver.positions - middle))
+        base.forget_measurement()
+        torch.testing.assert_close(base._spread(base.measurement.hanging), expected, atol=2e-3, rtol=0)
+
+
 def test_coming_from_beside_the_peg_the_way_leads_round_the_tip(make_env):
     """Beside the peg nearer to it is no better, but nearer to its front is."""
     base = make_env(3).unwrapped
@@ -272,7 +294,7 @@ def test_reward_rises_over_the_bar(make_env):
 
 
 def test_weights_of_the_reward_sum_to_one():
-    weights = ("WAY_WEIGHT", "ALIGNMENT_WEIGHT", "PROGRESS_WEIGHT", "SUCCESS_WEIGHT")
+    weights = ("WAY_WEIGHT", "SPREAD_WEIGHT", "ALIGNMENT_WEIGHT", "PROGRESS_WEIGHT", "SUCCESS_WEIGHT")
     assert sum(getattr(ClothHangingEnv, name) for name in weights) == pytest.approx(1.0)
 
 

@@ -16,6 +16,7 @@ from maniskill_grpd.tasks.geometry.hanger import (
     Hanging,
     distances_to_segment,
     facing,
+    progress_of,
     way_to_go,
 )
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre
@@ -100,7 +101,8 @@ class BarHanger(Hanger):
             depth=-height,
             way=torch.where(lies, 0.0, way_to_go(height, aside)),
             alignment=2.0 * share,
-            progress=torch.where(lies, (hanging / self.SMALLEST_SHARE).clamp(max=1.0), 0.0),
+            progress=progress_of(offset, lies, (hanging / self.SMALLEST_SHARE).clamp(max=1.0)),
+            is_on=lies,
             is_hung=lies & (hanging >= self.SMALLEST_SHARE),
             measures={"lies_on_bar": lies, "hanging_share": hanging, "bar_gap": gap},
         )

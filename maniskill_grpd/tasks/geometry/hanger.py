@@ -36,7 +36,9 @@ class Hanging:
     alignment: torch.Tensor
     """How well the cloth is turned, in [0, 1], (B,)."""
     progress: torch.Tensor
-    """How much of the hanging is done, in [0, 1], (B,)."""
+    """How much of the hanging is done, from the last 8 cm before the hanger on, in [0, 1], (B,)."""
+    is_on: torch.Tensor
+    """Whether the seat is on the hanger, (B,) bool."""
     is_hung: torch.Tensor
     """Whether all of it is, (B,) bool."""
     measures: dict[str, torch.Tensor]
@@ -101,12 +103,23 @@ def way_to_go(height: torch.Tensor, aside: torch.Tensor) -> torch.Tensor:
     """Return how far a point is from the way onto a hanger, (B,) [m].
 
     The way is the last 8 cm before the hanger. It may be joined later the closer one is to it, like a funnel; from beside the
-    hanger, where there is none, one has to come back to its beginning.
+    hanger, where there is none, one has to come back to its beginning. On the way itself the rest of it is still to go.
 
     Args:
         height: Height before the hanger, negative behind it, (B,) [m].
         aside: Distance from the line on which the way lies, (B,) [m].
     """
     lowest = WAITING_DISTANCE * (aside / FUNNEL_RADIUS).clamp(max=1.0)
-    missing = height - torch.minimum(torch.maximum(height, lowest), torch.full_like(height, WAITING_DISTANCE))
-    return torch.sqrt(aside**2 + missing**2)
+    return torch.sqrt(aside**2 + (height - lowest) ** 2)
+
+
+def progress_of(offset: torch.Tensor, is_on: torch.Tensor, done: torch.Tensor) -> torch.Tensor:
+    """Return how much of the hanging is done, (B,): half of it are the last 8 cm before the hanger.
+
+    Args:
+        offset: Way from the seat to the hanger, (B, 3) [m].
+        is_on: Whether the seat is on the hanger, (B,) bool.
+        done: How much of the rest is done once it is, in [0, 1], (B,).
+    """
+    left = torch.linalg.vector_norm(offset, dim=-1) / WAITING_DISTANCE
+    return 0.5 * torch.where(is_on, 1.0 + done, (1.0 - left).clamp(min=0.0))

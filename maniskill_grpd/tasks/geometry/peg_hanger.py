@@ -17,6 +17,7 @@ from maniskill_grpd.tasks.geometry.hanger import (
     Hanging,
     distances_to_segment,
     facing,
+    progress_of,
     way_to_go,
 )
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area, loop_centre, winding_about_axis
@@ -96,7 +97,8 @@ class PegHanger(Hanger):
             depth=depth,
             way=torch.where(is_threaded, 0.0, way_to_go(-depth, aside)),
             alignment=alignment,
-            progress=torch.where(is_threaded, (depth / self.HUNG_DEPTH).clamp(0.0, 1.0), 0.0),
+            progress=progress_of(offset, is_threaded, (depth / self.HUNG_DEPTH).clamp(0.0, 1.0)),
+            is_on=is_threaded,
             is_hung=is_hung,
             measures={"is_threaded": is_threaded, "hole_depth": depth, "hole_angle": torch.acos(alignment)},
         )
