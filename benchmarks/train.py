@@ -24,8 +24,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import gymnasium as gym
 import torch
 from machine import describe_machine, report
+from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.allocator import keep_freed_memory
@@ -78,8 +80,8 @@ class Peer:
             num_envs=SIZES["num_envs"], num_steps=num_steps, update_epochs=4, num_minibatches=32, target_kl=math.inf
         )
         torch.manual_seed(1)
-        config = TrainConfig(**SIZES, env_kwargs=("obs_mode=state",))
-        self.envs = TimedEnvs(make_vector_env(config, config.num_envs, partial_reset=False))
+        env = gym.make(SIZES["env_id"], num_envs=SIZES["num_envs"], obs_mode="state")
+        self.envs = TimedEnvs(ManiSkillVectorEnv(env, ignore_terminations=True, record_metrics=True))
         self.state, _ = self.envs.reset(seed=0)
         self.agent = maniskill_ppo.MlpAgent(self.state.shape[1], self.envs.single_action_space.shape[0])
         self.optimizer = torch.optim.Adam(self.agent.parameters(), lr=self.config.learning_rate, eps=1e-5)

@@ -17,7 +17,7 @@ from maniskill_grpd.experiments.records import TEST_FOLDER, is_played
 from maniskill_grpd.experiments.studies import find_study
 from maniskill_grpd.experiments.study import Condition, Study, Task, to_pairs
 from maniskill_grpd.learning import CheckpointError, TrainConfig
-from maniskill_grpd.learning.options import require_positive
+from maniskill_grpd.learning.options import THREADS, check_ranges, require_positive
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import load_policy
 from maniskill_grpd.runs.play import change_task, play
@@ -47,7 +47,8 @@ class ConditionTestConfig:
     """CPU threads PyTorch uses"""
 
     def __post_init__(self) -> None:
-        require_positive(self, "num_episodes", "num_envs", "torch_threads")
+        require_positive(self, "num_episodes", "num_envs")
+        check_ranges(self, {"torch_threads": THREADS})
 
     @property
     def folder(self) -> Path:

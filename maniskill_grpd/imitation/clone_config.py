@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.options import require_positive
+from maniskill_grpd.learning.options import THREADS, check_ranges, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,8 @@ class CloneConfig:
     """also write the table of results to this file"""
 
     def __post_init__(self) -> None:
-        require_positive(self, "num_episodes", "num_steps", "epochs", "batch_size", "torch_threads")
+        require_positive(self, "num_episodes", "num_steps", "epochs", "batch_size")
+        check_ranges(self, {"torch_threads": THREADS})
         if not 0.0 < self.validation_share < 1.0:
             raise ValueError(f"validation_share must be in (0, 1), got {self.validation_share}")
         if any(pair.startswith("pose_range=") for pair in self.env_kwargs):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from maniskill_grpd.learning.algorithm import ALGORITHMS
-from maniskill_grpd.learning.options import parse_options
+from maniskill_grpd.learning.options import THREADS, parse_options
 from maniskill_grpd.learning.schedule import Coefficients, Schedule, scheduled
 
 BestMetric = Literal["success_at_end", "success_once", "return"]
@@ -39,7 +39,7 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
 
     RANGES: ClassVar[Mapping[str, str]] = {
         "seed": "[0, 4294967295]",
-        "torch_threads": "[1, 1024]",
+        "torch_threads": THREADS,
         "num_envs": "[1, inf)",
         "num_eval_envs": "[1, inf)",
         "num_steps": "[1, inf)",

@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
+THREADS = "[1, 1024]"
+"""Range of `--torch_threads` of all commands; PyTorch crashes on numbers that the system cannot start."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class OptionGroup:

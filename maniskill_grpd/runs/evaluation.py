@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.options import require_positive
+from maniskill_grpd.learning.options import THREADS, check_ranges, require_positive
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import load_policy
 from maniskill_grpd.runs.play import change_task, play
@@ -50,9 +50,8 @@ class EvaluationConfig:
     """also write a page about the checkpoint, with these results, to this file"""
 
     def __post_init__(self) -> None:
-        require_positive(self, "num_episodes", "num_envs", "torch_threads")
-        if not self.sigma >= 0.0:
-            raise ValueError(f"sigma must not be negative, got {self.sigma}")
+        require_positive(self, "num_episodes", "num_envs")
+        check_ranges(self, {"torch_threads": THREADS, "sigma": "[0, inf)"})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,8 @@ import torch
 
 pytest.importorskip("mani_skill")
 
+from tools.docs.benchmark_pages import train_page
+
 # By path: baselines has a train.py, too.
 SPEC = importlib.util.spec_from_file_location("train_benchmark", Path(__file__).parents[2] / "benchmarks" / "train.py")
 benchmark = importlib.util.module_from_spec(SPEC)
@@ -30,4 +32,4 @@ def test_shares_of_the_phases_add_up_to_one():
     assert row["env_steps_per_s"] == pytest.approx((1000 / 8 + 1000 / 4) / 2)
     shares = [row[f"share_{phase}"] for phase in ("simulation", "policy", "update")]
     assert shares == pytest.approx([2 / 12, 2 / 12, 8 / 12])
-    assert "| ours | 188 | 125 - 250 | 17% | 17% | 67% | 0.50 |" in benchmark.to_markdown([{**row, "ratio": 0.5}])
+    assert "| ours | 188 | 125 - 250 | 17% | 17% | 67% | 0.50 |" in train_page([{**row, "ratio": 0.5, "machine": {}}])

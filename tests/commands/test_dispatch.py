@@ -112,3 +112,19 @@ def test_scripts_of_baselines_forward_to_commands():
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "error: " in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["evaluate", "--checkpoint", "none.pt", "--torch_threads", "100000"],
+        ["evaluate", "--checkpoint", "none.pt", "--sigma", "inf"],
+        ["evaluate_study", "--study", "noise", "--checkpoint", "none.pt", "--torch_threads", "100000"],
+        ["clone", "--torch_threads", "0"],
+        ["train", "--torch_threads", "100000"],
+    ],
+)
+def test_numbers_out_of_their_range_are_refused_by_every_command(words, capsys):
+    """A hundred thousand threads crashed the process."""
+    assert main(words) != 0
+    assert "must lie in [" in capsys.readouterr().err

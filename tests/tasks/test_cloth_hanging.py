@@ -364,7 +364,7 @@ def test_bars_are_seen_from_their_nearest_point(make_env):
 
 
 def test_shapes_and_resolutions_mix_across_worlds(make_env):
-    env = make_env(200, shapes=CLOTH_SHAPES, resolution=(60, 100), num_grippers=3)
+    env = make_env(200, shapes=tuple(CLOTH_SHAPES), resolution=(60, 100), num_grippers=3)
     base = env.unwrapped
     counts = torch.bincount(base.solver.variants, minlength=12)
     assert len(base.models) == 12
