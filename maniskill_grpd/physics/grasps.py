@@ -1,23 +1,23 @@
-"""Grippers that close on nodes of the object and let go of them."""
+"""What grippers hold: they close at nodes or where they are, open again, and lose what pulls harder than they can hold."""
 
 from __future__ import annotations
 
 import torch
 
-from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes
+from maniskill_grpd.physics.leashes import NO_LEASH, direct_leashes, leash_stretch
 from maniskill_grpd.physics.world_state import WorldState
 
 
 class Grasps(WorldState):
-    """The part of a solver that says which gripper holds which nodes, and how far grippers can be apart by it.
+    """The state of all worlds, and what changes the grasps in it; see `Solver`."""
 
-    Attributes:
-        patch_radius: Grippers hold all nodes within this distance [m] of the one they close at.
-        capture_radius: Distance [m] from which `set_closed` catches a node.
-    """
-
-    patch_radius: float
-    capture_radius: float
+    def set_grippers(self, patch_radius: float, capture_radius: float, grip_strength: float | None) -> None:
+        """Give all grippers their size [m], reach [m] and strength [N], see `Solver`."""
+        self.patch_radius = patch_radius
+        self.capture_radius = capture_radius
+        self.grip_strength = grip_strength
+        stretches = [leash_stretch(model, grip_strength) for model in self.models]
+        self._leash_lengths = self._geodesics * torch.tensor(stretches, device=self.device)[:, None, None]
 
     def grasp(self, world_idx: torch.Tensor, gripper_nodes: torch.Tensor) -> None:
         """Let grippers of some worlds move to nodes and close there; what they held before is let go.
@@ -46,7 +46,7 @@ class Grasps(WorldState):
         self._hold(world_idx, patches, pivots, torch.full_like(self.holder[world_idx], -1))
         self.gripper_nodes[world_idx] = nodes.to(torch.int32)
         self.closed[world_idx] = closes
-        self.leashes[world_idx] = direct_leashes(self._geodesics, variant, nodes)
+        self.leashes[world_idx] = direct_leashes(self._leash_lengths, variant, nodes)
 
     def set_closed(self, closed: torch.Tensor) -> None:
         """Open and close grippers where they are, between two steps and without synchronising with the host.
@@ -75,6 +75,15 @@ class Grasps(WorldState):
         self.closed.copy_(closed)
         self._renew_leashes((opens | closes).any(dim=1))
 
+    def _let_slip(self, strength: float) -> None:
+        """Let go of what pulled at grippers with more than their strength [N] in the last step."""
+        slips = (self.gripper_forces.norm(dim=-1) > strength) & (self.gripper_nodes >= 0)
+        free = (self.holder >= 0) & torch.gather(slips, 1, self.holder.clamp(min=0).long())
+        self.holder.copy_(torch.where(free, -1, self.holder))
+        self.gripper_nodes.copy_(torch.where(slips, -1, self.gripper_nodes))
+        self.slips += slips
+        self._renew_leashes(slips.any(dim=1))
+
     def _hold(self, world_idx: torch.Tensor, patches: torch.Tensor, grippers: torch.Tensor, holder: torch.Tensor) -> None:
         """Let grippers at (b, A, 3) hold the nodes of their patches (b, A, N) that are free in `holder` (b, N)."""
         positions = self.positions[world_idx]
@@ -92,7 +101,7 @@ class Grasps(WorldState):
         A gripper does not sit on its node exactly: what it is off shortens its leashes, but never below the present distance.
         """
         nodes = self.gripper_nodes.long()
-        leashes = direct_leashes(self._geodesics, self.variants.long(), nodes)
+        leashes = direct_leashes(self._leash_lengths, self.variants.long(), nodes)
         pivots = torch.gather(self.positions, 1, nodes.clamp(min=0)[..., None].expand(-1, -1, 3))
         off = (pivots - self.gripper_positions).norm(dim=-1)
         apart = (self.gripper_positions[:, :, None] - self.gripper_positions[:, None]).norm(dim=-1)

@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+
+from maniskill_grpd.physics.model import Model
 
 # Distance [m] of grippers that hold nothing together: further apart than any world is wide.
 NO_LEASH = 1.0e6
+# How much longer than its strain at the strength of a gripper an object can be pulled: what is beyond must be felt.
+EXCESS_FORCE, EXCESS_STRAIN = 2.0, 0.01
+
+
+def leash_stretch(model: Model, grip_strength: float | None) -> float:
+    """Return how far grippers of a strength [N] can pull an object apart, as a factor on its length.
+
+    Unlimited grippers (None) do not stretch it: 1. Others must be able to feel more than they can hold, so leashes end where the
+    tension of a rope is twice that, and where a cloth has locked.
+    """
+    if grip_strength is None:
+        return 1.0
+    if np.isfinite(model.max_strain):
+        return 1.0 + model.max_strain + EXCESS_STRAIN
+    return 1.0 + EXCESS_FORCE * grip_strength * float(np.max(model.stretch_compliances / model.rest_lengths))
 
 
 def direct_leashes(geodesics: torch.Tensor, variants: torch.Tensor, gripper_nodes: torch.Tensor) -> torch.Tensor:

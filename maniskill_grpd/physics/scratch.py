@@ -8,7 +8,7 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.kernels.contact_search import BLOCK
-from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Touch
+from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Touch, Worlds
 from maniskill_grpd.physics.kernels.lanes import WIDTH, Numbers, Vectors
 from maniskill_grpd.physics.kernels.self_contact import MAX_CONTACTS_PER_NODE, SLOTS
 from maniskill_grpd.physics.model import Model
@@ -116,6 +116,12 @@ class WorldGroups:
     def _vectors(self, *shape: int) -> wp.array:
         components, dtype = (3 * WIDTH, Vectors) if self.in_lanes else (3, wp.vec3)
         return wp.from_torch(torch.zeros(*shape, components, device=self._device), dtype=dtype)
+
+
+def allocate_ways(worlds: Worlds, num_worlds: int, num_grippers: int, device: torch.device) -> None:
+    """Allocate where ropes touch colliders between each two grippers."""
+    for name, dtype in (("starts", wp.vec3), ("ends", wp.vec3), ("lengths", wp.float32), ("spans", wp.vec2)):
+        setattr(worlds, f"way_{name}", wp.zeros((num_worlds, num_grippers**2), dtype=dtype, device=str(device)))
 
 
 def allocate_touch(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> Touch:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -14,7 +15,7 @@ from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch
+from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch, allocate_ways
 from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects, upload_timings
 
 
@@ -53,6 +54,8 @@ class Solver(Grasps):
         collider_rotations: Unit quaternions (w, x, y, z), (B, K, 4).
         collider_sizes: (B, K, 3) [m], by kind (see `Collider`).
         collider_active: (B, K) bool; inactive ones are not there.
+        slips: How often since the reset of its world a gripper lost what it held, (B, A) int32, because that pulled harder than
+            `grip_strength`. The gripper stays closed, and holds nothing until it has been opened and closes again.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
 
         dropped_contacts: How often since its reset a world had more contacts with itself than there is room for, (B,) int32. The
@@ -77,6 +80,7 @@ class Solver(Grasps):
         self_collision: bool = False,
         patch_radius: float = 0.0,
         capture_radius: float = 0.03,
+        grip_strength: float | None = None,
     ) -> None:
         """Allocate the state of all worlds, with the first variant at rest in its rest shape and nothing held.
 
@@ -94,6 +98,8 @@ class Solver(Grasps):
             patch_radius: Grippers hold all nodes within this distance [m] of the one they close at; 0 holds that node alone, as
                 a pivot.
             capture_radius: Distance [m] from which `set_closed` catches a node.
+            grip_strength: Force [N], > 0, averaged over a `step()`, beyond which what a gripper holds slips out of it; None for
+                any force.
 
         Raises:
             ValueError: If a number is out of its range.
@@ -116,11 +122,12 @@ class Solver(Grasps):
         models = (model,) if isinstance(model, Model) else tuple(model)
         if not models:
             raise ValueError("a solver needs at least one model, got none")
+        if grip_strength is not None and not (grip_strength > 0.0 and math.isfinite(grip_strength)):
+            raise ValueError(f"grip_strength must be finite and > 0 N, or None for unlimited, got {grip_strength}")
         super().__init__(models, num_worlds, num_grippers, tuple(colliders), torch.device(device))
         self.control_dt = control_dt
         self.substeps = tuple(entry.default_substeps if substeps is None else substeps for entry in models)
-        self.patch_radius = patch_radius
-        self.capture_radius = capture_radius
+        self.set_grippers(patch_radius, capture_radius, grip_strength)
         self._features = choose_features(self.models, self.colliders, self_collision)
         with quiet_warp():
             wp.init()
@@ -144,6 +151,8 @@ class Solver(Grasps):
     def step(self) -> None:
         """Advance all worlds by `control_dt`; afterwards `gripper_positions` equal `gripper_targets`."""
         self._launches.run()
+        if self.grip_strength is not None:
+            self._let_slip(self.grip_strength)
 
     def reset(
         self,
@@ -181,6 +190,7 @@ class Solver(Grasps):
         self.velocities[world_idx] = 0.0
         self.frozen[world_idx] = False
         self.dropped_contacts[world_idx] = 0
+        self.slips[world_idx] = 0
         self.holder[world_idx] = -1
         self.hold_offsets[world_idx] = 0.0
         self.leashes[world_idx] = NO_LEASH
@@ -263,6 +273,8 @@ class Solver(Grasps):
         for name, (field, tensor) in self.fields.items():
             if field.struct is not None and tensor.numel():
                 setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
+        if self.colliders and self._features.ropes:
+            allocate_ways(worlds, self.num_worlds, self.num_grippers, self.device)
         touch = allocate_touch(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         contacts = allocate_self_contacts(self.models, self.num_worlds, self._features.self_contact, self.device)
         timings = upload_timings(self.substeps, self.control_dt, device)

@@ -79,6 +79,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             The simulation keeps all nodes.
         graph_features: "paper" (default): grippers tell their position, velocity and status alone (eq. 43), the goal is on the
             object's nodes (eq. 42); "rich": grippers also tell the goal and summaries of the whole object.
+        grip_strength: Force [N] beyond which what a gripper holds slips out of it; unlimited by
+            default. `info["slips"]` counts it.
         substeps: Substeps of the solver in a control step, 1 to 1,000; by default what each variant of
             the object needs.
         num_threads: CPU threads of the solver, chosen by it by default.
@@ -112,6 +114,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         pose_range: str = "full",
         graph_nodes: int | None = None,
         graph_features: str = "paper",
+        grip_strength: float | None = None,
         substeps: int | None = None,
         num_threads: int | None = None,
         **settings: Any,
@@ -130,6 +133,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._full_obs_mode = obs_mode or "graph"
         self.pose_share = POSE_RANGES[pose_range]
         self._num_graph_nodes, self.graph_features = graph_nodes, graph_features
+        self._grip_strength = grip_strength
         self._substeps = check_substeps(substeps)
         self._num_threads = num_threads
         self._compute_device = choose_compute_device(sim_backend)
@@ -240,6 +244,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             self.num_grippers,
             control_dt=self.control_timestep,
             substeps=self._substeps,
+            grip_strength=self._grip_strength,
             device=self.device,
             num_threads=self._num_threads,
             colliders=self.build_colliders(),
@@ -306,8 +311,10 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             agent.robot.finish_motion(self.control_timestep)
 
     def get_info(self) -> dict[str, torch.Tensor]:
-        """Return `elapsed_steps`, what `evaluate` measures and how arms get on, as copies."""
+        """Return `elapsed_steps`, what `evaluate` measures, how arms get on and `slips` (B, A) of a finite strength, as copies."""
         info = super().get_info() | self._arm_info()
+        if self.solver.grip_strength is not None:
+            info["slips"] = self.solver.slips.clone()
         info["elapsed_steps"] = info["elapsed_steps"].clone()
         return info
 

@@ -15,9 +15,8 @@ from mani_skill.utils.registration import register_env
 from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, rope
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
-from maniskill_grpd.tasks.geometry.post_leash import limit_around_post
 from maniskill_grpd.tasks.geometry.posts import POST_HEIGHT, POSTS
-from maniskill_grpd.tasks.geometry.winding import angles_between, turning_angles, winding_number
+from maniskill_grpd.tasks.geometry.winding import winding_number
 from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
@@ -165,9 +164,8 @@ class RopeWrappingEnv(DeformableEnv, BaseEnv):
 
     def allocate_episode(self) -> None:
         """Create tables of ropes and posts."""
-        radii = np.array([POSTS[shape].circumradius + self.solver.model.radius for shape in self.shapes])
         is_shape = np.array([[name == shape for name in POSTS] for shape in self.shapes], np.float32)
-        self._taut_radii, self._is_shape = (torch.as_tensor(table, device=self.device) for table in (radii, is_shape))
+        self._is_shape = torch.as_tensor(is_shape, device=self.device)
         self._along = self.node_table([model.rest_positions[:, 0] for model in self.models])
         self._end_nodes = self.variant_table([self.candidate_gripper_nodes(model) for model in self.models])
 
@@ -223,28 +221,6 @@ class RopeWrappingEnv(DeformableEnv, BaseEnv):
     def signed_winding(self, rotation: torch.Tensor) -> torch.Tensor:
         """Return the winding number of the rope about the post, (B,), positive if counter-clockwise from its first node on."""
         return winding_number(self.in_post_frame(self.solver.positions, rotation)[..., :2], self.solver.node_mask)
-
-    def _before_simulation_step(self) -> None:
-        super()._before_simulation_step()
-        self._shorten_reach()
-
-    def _shorten_reach(self) -> None:
-        """Draw gripper targets together until the rope reaches from one to the other around the post, if it is beside it.
-
-        In double precision: float32 angles round differently at different places of a batch, and targets must not.
-        """
-        solver, rotation = self.solver, self.post_rotation.double()
-        rope, starts, ends = (
-            self.in_post_frame(points.double(), rotation)
-            for points in (solver.positions, solver.gripper_positions, solver.gripper_targets)
-        )
-        turned = torch.nn.functional.pad(turning_angles(rope[..., :2], solver.node_mask).cumsum(dim=1), (1, 0))
-        turned = turned.gather(1, solver.gripper_nodes.long().clamp(min=0))
-        turned = turned + angles_between(starts[..., :2], ends[..., :2])
-        is_beside = ((rope[..., 2] <= POST_HEIGHT) & solver.node_mask).any(dim=1)
-        length = torch.where(is_beside, solver.leashes[:, 0, 1].double(), torch.inf)
-        limited = limit_around_post(ends, turned[:, 1] - turned[:, 0], length, self._taut_radii[self._shape_of_worlds])
-        solver.gripper_targets.copy_(solver.gripper_targets + (limited - ends) @ rotation.mT)
 
     @property
     def _shape_of_worlds(self) -> torch.Tensor:

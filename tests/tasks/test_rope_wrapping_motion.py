@@ -43,7 +43,7 @@ def test_a_rope_is_held_back_around_the_post_but_not_above_it(make_env):
     """Wound up almost taut; both ends go outward."""
     env = make_env(2, obs_mode="none")
     base = env.unwrapped
-    spirals = torch.stack([ring(radius=0.08, turns=1.8, height=height) for height in (0.01, 0.2)])
+    spirals = torch.stack([ring(radius=0.07, turns=1.8, height=height) for height in (0.01, 0.2)])
     base.solver.reset(torch.arange(2), spirals + post_base(base), torch.tensor([0, 40]))
     start = base.solver.gripper_positions.clone()
     env.step(normalized(arms(base, start)).flatten(1))

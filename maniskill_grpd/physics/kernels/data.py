@@ -153,7 +153,17 @@ class SelfContacts:
     dropped: wp.array(dtype=int)
 
 
-Worlds = wp.struct(_record("Worlds", fields_of_struct("worlds"), "The state of all worlds, see `FIELDS`."))
+Worlds = wp.struct(
+    _record(
+        "Worlds",
+        fields_of_struct("worlds"),
+        "The state of all worlds, see `FIELDS`; where a rope touches colliders between each two of the A grippers, (B, A * A).",
+        way_starts=wp.array2d(dtype=wp.vec3),
+        way_ends=wp.array2d(dtype=wp.vec3),
+        way_lengths=wp.array2d(dtype=float),  # -1 where it does not
+        way_spans=wp.array2d(dtype=wp.vec2),  # through the rope to the first and from the last of these places
+    )
+)
 
 
 @wp.struct

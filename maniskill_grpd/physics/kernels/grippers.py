@@ -2,14 +2,18 @@
 
 import warp as wp
 
+from maniskill_grpd.physics import leashes
 from maniskill_grpd.physics.kernels.colliders import MESH, collider_distance
-from maniskill_grpd.physics.kernels.data import Colliders, Worlds
+from maniskill_grpd.physics.kernels.data import Colliders, Objects, Worlds
 
 # A world is frozen when a coordinate is not finite or has left this range [m]: past it float32 cannot hold millimetres.
 POSITION_LIMIT = wp.constant(1.0e4)
 # Most sweeps over the gripper pairs, and the relative excess that is left alone: four grippers in a row need about forty.
 LEASH_SWEEPS = wp.constant(64)
 LEASH_TOLERANCE = wp.constant(1.0e-4)
+NO_LEASH = wp.constant(leashes.NO_LEASH)
+# Strain of a rope between a gripper and a collider that holds it by friction: the pull at which it slips along.
+SPAN_STRAIN = wp.constant(0.02)
 # Most rounds of drawing grippers together and stopping them again; each halves what is left of an excess.
 STOP_ROUNDS = wp.constant(24)
 # Surfaces along which a stopped gripper slides on within one control step.
@@ -27,16 +31,92 @@ def is_valid(p: wp.vec3) -> bool:
 
 
 @wp.func
+def is_near_collider(world: int, point: wp.vec3, margin: float, colliders: Colliders) -> bool:
+    """Return whether a point is within a margin of any collider."""
+    near = bool(False)
+    for k in range(colliders.kinds.shape[0]):
+        if colliders.active[world, k] and collider_distance(world, k, point, colliders)[3] <= margin:
+            near = True
+    return near
+
+
+@wp.func
+def find_ways(world: int, variant: int, objects: Objects, colliders: Colliders, worlds: Worlds):
+    """Find where a rope touches colliders between each two grippers that hold it with no third one in between.
+
+    Its way from one to the other is at least the straight lines to the first and from the last place where it touches, and the
+    chords between all such places. A node counts as touching within half an edge of contact: at a sharp corner it is the edge
+    between two nodes that touches.
+    """
+    num_grippers = worlds.gripper_targets.shape[1]
+    margin = (
+        objects.radii[variant] + 0.5 * objects.rest_lengths[objects.line_edges[objects.line_colors[objects.line_ranges[variant]]]]
+    )
+    for a in range(num_grippers):
+        for b in range(num_grippers):
+            pair = a * num_grippers + b
+            worlds.way_lengths[world, pair] = -1.0
+            first = worlds.gripper_nodes[world, a]
+            last = worlds.gripper_nodes[world, b]
+            if objects.is_rope[variant] and worlds.leashes[world, a, b] < NO_LEASH and first >= 0 and first < last:
+                touched = worlds.positions[world, first]
+                for node in range(first + 1, last):
+                    point = worlds.positions[world, node]
+                    edge = wp.max(objects.rest_lengths[first_edge + node - 1], objects.rest_lengths[first_edge + node])
+                    margin = objects.radii[variant] + 0.5 * edge
+                    if is_near_collider(world, point, margin, colliders):
+                        if worlds.way_lengths[world, pair] < 0.0:
+                            worlds.way_starts[world, pair] = point
+                            worlds.way_lengths[world, pair] = 0.0
+                            worlds.way_spans[world, pair][0] = objects.geodesics[variant, first, node]
+                        else:
+                            worlds.way_lengths[world, pair] = worlds.way_lengths[world, pair] + wp.length(point - touched)
+                        worlds.way_spans[world, pair][1] = objects.geodesics[variant, last, node]
+                        touched = point
+                worlds.way_ends[world, pair] = touched
+
+
+@wp.func
+def held_point(world: int, gripper: int, worlds: Worlds) -> wp.vec3:
+    """Return where the node that a gripper holds is to go."""
+    return worlds.gripper_targets[world, gripper] + worlds.hold_offsets[world, worlds.gripper_nodes[world, gripper]]
+
+
+@wp.func
+def limit_along_way(world: int, a: int, b: int, worlds: Worlds) -> bool:
+    """Draw two grippers towards the collider around which the rope between them is too short; return whether they were."""
+    pair = a * worlds.gripper_targets.shape[1] + b
+    if worlds.way_lengths[world, pair] < 0.0:
+        return False
+    if not (is_valid(worlds.gripper_targets[world, a]) and is_valid(worlds.gripper_targets[world, b])):
+        return False  # which freezes the world
+    to_start = worlds.way_starts[world, pair] - held_point(world, a, worlds)
+    to_end = worlds.way_ends[world, pair] - held_point(world, b, worlds)
+    before = wp.length(to_start)
+    behind = wp.length(to_end)
+    share = 0.5 * (before + worlds.way_lengths[world, pair] + behind - worlds.leashes[world, a, b])
+    spans = worlds.way_spans[world, pair] * (1.0 + SPAN_STRAIN)
+    back = wp.vec2(wp.max(share, before - spans[0]), wp.max(share, behind - spans[1]))
+    if not wp.max(back[0], back[1]) > 0.5 * LEASH_TOLERANCE * worlds.leashes[world, a, b]:
+        return False
+    back = wp.vec2(wp.clamp(back[0], 0.0, before), wp.clamp(back[1], 0.0, behind))
+    worlds.gripper_targets[world, a] = worlds.gripper_targets[world, a] + to_start * (back[0] / wp.max(before, 1.0e-9))
+    worlds.gripper_targets[world, b] = worlds.gripper_targets[world, b] + to_end * (back[1] / wp.max(behind, 1.0e-9))
+    return True
+
+
+@wp.func
 def limit_gripper_targets(world: int, worlds: Worlds) -> bool:
     """Draw grippers together that would pull the object beyond its own length; return whether any were.
 
     Kinematic grippers have unlimited force and would tear any rope. Each pair that is further apart than its leash moves by half
-    the excess, so targets stay inside their convex hull.
+    the excess, so targets stay inside their convex hull. Of a rope that touches a collider the way past it counts.
     """
     drawn = bool(False)
+    num_grippers = worlds.gripper_targets.shape[1]
     for _sweep in range(LEASH_SWEEPS):
         num_taut = int(0)
-        for a in range(worlds.gripper_targets.shape[1]):
+        for a in range(num_grippers):
             for b in range(a):
                 difference = worlds.gripper_targets[world, a] - worlds.gripper_targets[world, b]
                 distance = wp.length(difference)
@@ -45,6 +125,9 @@ def limit_gripper_targets(world: int, worlds: Worlds) -> bool:
                     correction = difference * (0.5 * (distance - worlds.leashes[world, a, b]) / distance)
                     worlds.gripper_targets[world, a] = worlds.gripper_targets[world, a] - correction
                     worlds.gripper_targets[world, b] = worlds.gripper_targets[world, b] + correction
+        for pair in range(worlds.way_lengths.shape[1]):
+            if limit_along_way(world, pair // num_grippers, pair % num_grippers, worlds):
+                num_taut += 1
         if num_taut == 0:
             break
         drawn = True

@@ -33,7 +33,7 @@ from maniskill_grpd.physics.kernels.data import (
     Touch,
     Worlds,
 )
-from maniskill_grpd.physics.kernels.grippers import limit_gripper_targets, stop_grippers
+from maniskill_grpd.physics.kernels.grippers import find_ways, limit_gripper_targets, stop_grippers
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
 from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
 from maniskill_grpd.physics.kernels.stretch import project_sheet_line
@@ -58,6 +58,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         for lane in range(thread.first, groups.counts[thread.group], thread.stride):
             world = groups.members[thread.group, lane]
             if not worlds.frozen[world]:
+                if wp.static(features.colliders and features.ropes):
+                    find_ways(world, thread.variant, objects, colliders, worlds)
                 limit_gripper_targets(world, worlds)
                 if wp.static(features.colliders):
                     stop_grippers(world, objects.radii[thread.variant], colliders, worlds)
