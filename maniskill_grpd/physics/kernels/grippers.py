@@ -49,9 +49,7 @@ def find_ways(world: int, variant: int, objects: Objects, colliders: Colliders, 
     between two nodes that touches.
     """
     num_grippers = worlds.gripper_targets.shape[1]
-    margin = (
-        objects.radii[variant] + 0.5 * objects.rest_lengths[objects.line_edges[objects.line_colors[objects.line_ranges[variant]]]]
-    )
+    first_edge = objects.line_edges[objects.line_colors[objects.line_ranges[variant]]]
     for a in range(num_grippers):
         for b in range(num_grippers):
             pair = a * num_grippers + b

@@ -8,6 +8,6 @@ from .wrapped_ropes import random_pulls
 @pytest.mark.parametrize(("shape", "strain"), [("cylinder", 0.15), ("box", 0.5), ("prism", 0.8)])
 def test_ropes_beside_a_post_keep_their_length_in_every_direction(shape, strain):
     """Single edges are stretched where they go round a sharp corner: contact comes last in a substep."""
-    longest, largest_strain = random_pulls(shape)
+    longest, largest_strain = random_pulls(shape, num_worlds=32, num_steps=60)
     assert longest < 1.05
     assert largest_strain < strain
