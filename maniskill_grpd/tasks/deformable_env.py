@@ -311,7 +311,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             agent.robot.finish_motion(self.control_timestep)
 
     def get_info(self) -> dict[str, torch.Tensor]:
-        """Return `elapsed_steps`, what `evaluate` measures, how arms get on and `slips` (B, A) of a finite strength, as copies."""
+        """Return `elapsed_steps`, what `evaluate` measures, how arms get on and `slips` (B, A) of a finite grip, as copies."""
         info = super().get_info() | self._arm_info()
         if self.solver.grip_strength is not None:
             info["slips"] = self.solver.slips.clone()
