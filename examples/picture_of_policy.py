@@ -4,7 +4,6 @@ python examples/picture_of_policy.py --checkpoint checkpoints/rope_shaping_w.pt 
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import gymnasium as gym
@@ -13,8 +12,8 @@ import torch
 from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the task)
-from maniskill_grpd.learning import load_checkpoint
-from maniskill_grpd.policies import policy_from_config
+from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.runs.checkpoints import load_policy
 
 SEEDS = (2_000_000, 2_000_001, 2_000_002)
 STEPS = (0, 8, 16, 24, 99)
@@ -22,11 +21,8 @@ STEPS = (0, 8, 16, 24, 99)
 
 def draw_episodes(checkpoint: Path) -> np.ndarray:
     """Play one episode per seed with mean actions and return the pictures side by side, (H, W, 3) uint8."""
-    contents = load_checkpoint(checkpoint, "cpu")
-    policy = policy_from_config(contents["policy"])
-    policy.load_state_dict(contents["weights"])
-    pairs = (pair.partition("=") for pair in contents["train_config"]["env_kwargs"])
-    options = {key: json.loads(value) for key, _, value in pairs}
+    policy, contents = load_policy(checkpoint)
+    options = TrainConfig.from_dict(contents["train_config"]).env_options
     env = gym.make("RopeShaping-v1", num_envs=len(SEEDS), render_mode="rgb_array", **options)
     obs, _ = env.reset(seed=list(SEEDS))
     columns = []
