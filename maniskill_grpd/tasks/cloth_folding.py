@@ -241,6 +241,10 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         share = 0.5 * (low + high) + 0.5 * (high - low) * self.pose_share * draws
         return offset_of_share(regions, normal, share)
 
+    def points_to_reach(self, worlds: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Return the goals of the nodes that are held."""
+        return self.goal_positions[worlds].gather(1, nodes[..., None].expand(-1, -1, 3))[:, :, None]
+
     def _choose_start_nodes(self, variant: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
         """Return the extreme nodes that the grippers hold, (b, A)."""
         candidates = self._candidates[variant]

@@ -255,6 +255,10 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         self.hanger_axis[worlds] = axes
         self.solver.collider_rotations[worlds] = tilts_of_z(axes)[:, None]
 
+    def points_to_reach(self, worlds: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Return the point of the hanger, from which no gripper will be far."""
+        return self.hanger_point[worlds, None, None].expand(-1, nodes.shape[1], -1, -1)
+
     # ------------------------------------------------------------------ one control step
 
     def _after_simulation_step(self) -> None:

@@ -162,6 +162,10 @@ class RopeShapingEnv(DeformableEnv, BaseEnv):
         self.goal_positions[worlds] = self._lay_down(curves, goal)
         return self._lay_down(self._straight[variant], start), self._held_nodes[variant]
 
+    def points_to_reach(self, worlds: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Return the goals of the nodes that are held."""
+        return self.goal_positions[worlds].gather(1, nodes[..., None].expand(-1, -1, 3))[:, :, None]
+
     def _lay_down(self, curves: torch.Tensor, draws: torch.Tensor) -> torch.Tensor:
         """Lay planar curves (b, N, 2) on the table, at poses given by draws in [-1, 1) (b, 3)."""
         yaw = draws[:, 2, None] * (self.YAW_RANGE * self.pose_share)

@@ -189,3 +189,35 @@ def test_what_cannot_be_is_refused(make_arms):
     wild[1, 3] = torch.nan
     with pytest.raises(ValueError, match="must be finite"):
         env.step({**still, KEYS[0]: wild})
+
+
+def test_pictures_show_the_arms_where_they_are(make_arms):
+    env = make_arms("RopeWrapping-v1", render_mode="rgb_array")
+    env.reset(seed=1)
+    env.step(act(env, 0))
+    for index, agent in enumerate(env._agents):
+        arm = agent.robot
+        base = np.eye(4)
+        base[:3, :3] = Rotation.from_quat(env.scene.arms.bases[1, index, 3:].numpy()).as_matrix()
+        base[:3, 3] = env.scene.arms.bases[1, index, :3].numpy()
+        names = [joint.name for joint in arm.joints]
+        frames = arm.description.robot.frames(base, dict(zip(names, arm.get_qpos()[1].tolist(), strict=True)))
+        np.testing.assert_allclose(frames["panda_hand_tcp"][:3, 3], env.solver.gripper_positions[1, index], atol=2e-5)
+    solids = env.drawing(1).solids
+    assert len(solids) == 1 + 2 * 17  # the post; nine meshes and eight boxes of each arm
+    tips = np.concatenate([solid.vertices for solid in solids[1:18]])
+    assert np.linalg.norm(tips - env.solver.gripper_positions[1, 0].numpy(), axis=1).min() < 0.02
+    with_arms = env.render()
+    env.scene.arms = None
+    assert (env.render() != with_arms).any()
+
+
+def test_episodes_that_arms_cannot_do_are_drawn_anew_and_counted(make_arms):
+    env = make_arms("RopeShaping-v1", 40, ("panda",) * 4)
+    _, info = env.reset(seed=0)
+    assert 0 < (info["num_redrawn"] > 0).sum() < 40
+    everywhere = torch.arange(40)
+    goals = env.points_to_reach(everywhere, env.start_nodes)
+    torch.testing.assert_close(goals[:, :, 0], env.at_start_nodes(env.goal_positions))
+    for points in (goals[:, :, 0], env.solver.gripper_positions):
+        assert (env.scene.arms.solve(everywhere, points)[1] < 1e-3).all()

@@ -45,7 +45,7 @@ class ArmArticulation(KinematicArticulation):
             targets=solver.gripper_targets[:, mine],
             grip_commands=scene.grip_commands[:, mine],
             joints=[joint.name for joint in (*self.description.arm_joints, *self.description.fingers)],
-            links=list(self.description.robot.meshes),
+            links=list(self.description.robot.shapes),
         )
         limits = torch.tensor([[joint.lower, joint.upper, joint.speed] for joint in self.description.fingers]).view(-1, 3)
         self._finger_limits = limits.to(device=self.device, dtype=torch.float32)

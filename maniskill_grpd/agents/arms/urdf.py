@@ -33,16 +33,23 @@ class Joint:
     speed: float
     """Largest speed [rad/s] or [m/s]."""
 
+    def displacement(self, position: float) -> np.ndarray:
+        """Return what the joint does in its frame, (4, 4)."""
+        if self.motion == REVOLUTE:
+            return transform(Rotation.from_rotvec(position * self.axis).as_matrix(), np.zeros(3))
+        return transform(np.eye(3), position * self.axis if self.motion == PRISMATIC else np.zeros(3))
+
 
 @dataclass(frozen=True)
-class MeshOfLink:
-    """A mesh that shows a link, in its frame."""
+class Shape:
+    """A mesh or a box that stands for a part of a link, in its frame."""
 
-    file: Path
+    file: Path | None
+    """File of the mesh, or None for a box."""
     origin: np.ndarray
     """(4, 4)."""
-    scale: np.ndarray
-    """(3,)."""
+    size: np.ndarray
+    """Factors on the mesh, or edges of the box [m], (3,)."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +58,14 @@ class Robot:
 
     file: Path
     joints: dict[str, Joint]
-    meshes: dict[str, tuple[MeshOfLink, ...]]
-    """Visual meshes of every link, by its name."""
+    shapes: dict[str, tuple[Shape, ...]]
+    """Shapes of every link for collisions, by its name: meshes of some hundred triangles, and boxes."""
 
     @property
     def root(self) -> str:
         """Name of the link that has no parent."""
         children = {joint.child for joint in self.joints.values()}
-        return next(link for link in self.meshes if link not in children)
+        return next(link for link in self.shapes if link not in children)
 
     def chain(self, link: str) -> tuple[Joint, ...]:
         """Return all joints from the root to a link.
@@ -66,8 +73,8 @@ class Robot:
         Raises:
             ValueError: If there is no such link.
         """
-        if link not in self.meshes:
-            raise ValueError(f"{self.file} has no link {link!r}; it has {', '.join(self.meshes)}")
+        if link not in self.shapes:
+            raise ValueError(f"{self.file} has no link {link!r}; it has {', '.join(self.shapes)}")
         by_child = {joint.child: joint for joint in self.joints.values()}
         joints = []
         while link in by_child:
@@ -75,9 +82,21 @@ class Robot:
             link = joints[-1].parent
         return tuple(reversed(joints))
 
+    def frames(self, base: np.ndarray, qpos: dict[str, float]) -> dict[str, np.ndarray]:
+        """Return the frames (4, 4) of all links where the root is at `base` and joints at positions [rad] or [m], or at 0."""
+        found, waiting = {self.root: base}, list(self.joints.values())
+        while waiting:
+            placed = [joint for joint in waiting if joint.parent in found]
+            for joint in placed:
+                found[joint.child] = found[joint.parent] @ joint.origin @ joint.displacement(qpos.get(joint.name, 0.0))
+            waiting = [joint for joint in waiting if joint.child not in found]
+            if not placed:
+                raise ValueError(f"joints {[joint.name for joint in waiting]} of {self.file} hang on nothing")
+        return found
+
 
 def read_urdf(file: Path) -> Robot:
-    """Read the joints and the visual meshes of a URDF file.
+    """Read the joints and the shapes of a URDF file.
 
     Raises:
         ValueError: If it is no URDF file, or a joint that moves lacks its limits.
@@ -89,13 +108,15 @@ def read_urdf(file: Path) -> Robot:
     if root.tag != "robot":
         raise ValueError(f"{file} is no URDF file: its root is <{root.tag}>, not <robot>")
     joints = {node.get("name"): _read_joint(file, node) for node in root.findall("joint")}
-    meshes = {
+    shapes = {
         link.get("name"): tuple(
-            _read_mesh(file, visual) for visual in link.findall("visual") if visual.find("geometry/mesh") is not None
+            _read_shape(file, collision)
+            for collision in link.findall("collision")
+            if collision.find("geometry/mesh") is not None or collision.find("geometry/box") is not None
         )
         for link in root.findall("link")
     }
-    return Robot(file, joints, meshes)
+    return Robot(file, joints, shapes)
 
 
 def transform(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -128,13 +149,11 @@ def _read_joint(file: Path, node: ElementTree.Element) -> Joint:
     )
 
 
-def _read_mesh(file: Path, visual: ElementTree.Element) -> MeshOfLink:
-    mesh = visual.find("geometry/mesh")
-    return MeshOfLink(
-        file=file.parent / mesh.get("filename"),
-        origin=_read_origin(visual.find("origin")),
-        scale=_numbers(mesh, "scale", (1.0, 1.0, 1.0)),
-    )
+def _read_shape(file: Path, node: ElementTree.Element) -> Shape:
+    mesh, origin = node.find("geometry/mesh"), _read_origin(node.find("origin"))
+    if mesh is None:
+        return Shape(None, origin, _numbers(node.find("geometry/box"), "size", (0.0, 0.0, 0.0)))
+    return Shape(file.parent / mesh.get("filename"), origin, _numbers(mesh, "scale", (1.0, 1.0, 1.0)))
 
 
 def _read_origin(node: ElementTree.Element | None) -> np.ndarray:

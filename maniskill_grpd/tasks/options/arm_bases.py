@@ -10,8 +10,8 @@ import sapien
 
 from maniskill_grpd.tasks.options.gripper_teams import Team, is_arm_team, members
 
-ALONE_AT, ROUND_AT = 0.615, 0.75
-"""Distance [m] of a base from the middle of the table: of a single arm, and of each of several, as in ManiSkill's tasks."""
+BASE_DISTANCE = 0.615
+"""Distance of the bases from the middle of the table [m], that of the Panda in ManiSkill's table scenes."""
 UNIT_TOLERANCE = 1e-3
 """By how much the length of a quaternion may differ from 1."""
 
@@ -20,7 +20,8 @@ def arm_bases(team: Team, robot_poses: Any | None) -> np.ndarray | None:
     """Return the frames of the bases of arms, (A, 4, 4), or None for floating grippers.
 
     By default a single arm stands at -x and looks along x, as in ManiSkill's table scenes, and several stand round the middle,
-    which they face: two at -y and y, as in `TwoRobotPickCube-v1`, more at equal angles from -y on.
+    which they face: two at -y and y, as in `TwoRobotPickCube-v1` (but nearer: there they are to need each other), more at equal
+    angles from -y on.
 
     Args:
         team: The agents.
@@ -42,14 +43,14 @@ def arm_bases(team: Team, robot_poses: Any | None) -> np.ndarray | None:
 
 def _default_bases(num_arms: int) -> np.ndarray:
     if num_arms == 1:
-        return sapien.Pose([-ALONE_AT, 0.0, 0.0]).to_transformation_matrix()[None]
+        return sapien.Pose([-BASE_DISTANCE, 0.0, 0.0]).to_transformation_matrix()[None]
     angles = -np.pi / 2 + 2.0 * np.pi * np.arange(num_arms) / num_arms
     return np.stack([_facing_middle(angle) for angle in angles])
 
 
 def _facing_middle(angle: float) -> np.ndarray:
     half = 0.5 * (angle + np.pi)
-    position = [ROUND_AT * np.cos(angle), ROUND_AT * np.sin(angle), 0.0]
+    position = [BASE_DISTANCE * np.cos(angle), BASE_DISTANCE * np.sin(angle), 0.0]
     return sapien.Pose(position, [np.cos(half), 0.0, 0.0, np.sin(half)]).to_transformation_matrix()
 
 

@@ -13,10 +13,12 @@ from mani_skill.utils import sapien_utils
 
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks.pictures import palette
+from maniskill_grpd.tasks.pictures.arm_solids import arm_solids
 from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
-from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Tube
+from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
+from maniskill_grpd.tasks.worlds.embodied_worlds import EmbodiedWorlds
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
 
 FRAME_WIDTH = 0.015
@@ -31,7 +33,7 @@ MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
 
-class WorldPictures(MeasuredWorlds):
+class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     """The part of an environment that takes pictures.
 
     SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, numpy
@@ -44,6 +46,8 @@ class WorldPictures(MeasuredWorlds):
     """Where they look [m]."""
     CAMERA_FOV = 0.95
     """Their vertical field of view [rad]."""
+    ARM_CAMERA = ((1.55, -1.05, 1.25), (0.0, 0.0, 0.15), 0.85)
+    """The same where arms stand round the table, which hide it from nearer."""
 
     HAS_TABLE = True
     """Whether there is a table, at z = 0."""
@@ -65,12 +69,17 @@ class WorldPictures(MeasuredWorlds):
         points = self.nodes_of(world, solver.positions)
         return Drawing(
             object=Tube(points, model.radius) if model.is_rope else Sheet(points, model.faces),
-            solids=collider_solids(solver, world),
+            solids=collider_solids(solver, world) + self._arm_solids(world),
             grippers=solver.gripper_positions[world].cpu().numpy(),
             closed=solver.closed[world].cpu().numpy(),
             is_solved=bool(self.measurement.success[world]),
             has_table=self.HAS_TABLE,
         )
+
+    def _arm_solids(self, world: int) -> tuple[Solid, ...]:
+        if self.scene.arms is None:
+            return ()
+        return tuple(solid for agent in self._agents for solid in arm_solids(agent.robot, world))
 
     def checked_drawing(self, world: int) -> Drawing:
         """Return `drawing`, and refuse what is none."""
@@ -97,10 +106,10 @@ class WorldPictures(MeasuredWorlds):
         return self._camera("render_camera", size, "default")
 
     def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
-        pose = sapien_utils.look_at(eye=list(self.CAMERA_POSITION), target=list(self.CAMERA_TARGET))
-        return CameraConfig(
-            uid, pose=pose, width=size, height=size, fov=self.CAMERA_FOV, near=0.01, far=10.0, shader_pack=shader_pack
-        )
+        own = (self.CAMERA_POSITION, self.CAMERA_TARGET, self.CAMERA_FOV)
+        eye, target, fov = own if self._bases is None else self.ARM_CAMERA
+        pose = sapien_utils.look_at(eye=list(eye), target=list(target))
+        return CameraConfig(uid, pose=pose, width=size, height=size, fov=fov, near=0.01, far=10.0, shader_pack=shader_pack)
 
     def _load_lighting(self, options: dict) -> None:
         self.scene.set_ambient_light([AMBIENT_LIGHT] * 3)

@@ -33,12 +33,12 @@ class EmbodiedWorlds(BaseEnv):
     """How often the present episode of each world was drawn anew because arms could not reach it, (B,) int64."""
     _bases: np.ndarray | None
 
-    def points_to_reach(self, worlds: torch.Tensor) -> torch.Tensor:
-        """Return where each gripper of some worlds (b,) will have to come, (b, A, P, 3) [m]; P = 0 by default.
+    def points_to_reach(self, worlds: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+        """Return where the grippers of some worlds (b,) that hold nodes (b, A) will have to come, (b, A, P, 3) [m].
 
-        Arms also reach the nodes at which they start.
+        None by default, P = 0; arms also reach the nodes at which they start.
         """
-        return self.solver.positions.new_zeros(len(worlds), self.num_grippers, 0, 3)
+        return self.solver.positions.new_zeros(*nodes.shape, 0, 3)
 
     @property
     def _agents(self) -> list[GripperAgent]:
@@ -62,16 +62,17 @@ class EmbodiedWorlds(BaseEnv):
     # ------------------------------------------------------------------ reach of arms
 
     def _share_nodes(self, worlds: torch.Tensor, positions: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
-        """Give each arm one of the nodes (b, A) at which grippers start, so that the squared distances from the bases are least.
+        """Give each arm one of the nodes (b, A) at which grippers start, so that it is near where they start and have to come.
 
-        Floating grippers take them as they come.
+        The sum of the squared distances from the bases is least. Floating grippers take them as they come.
         """
         arms = self.scene.arms
         if arms is None:
             return nodes
         arms.bases[worlds] = arms.default_bases
-        points = positions.gather(1, nodes[..., None].expand(-1, -1, 3))
-        squares = (arms.bases[worlds][:, :, None, :3] - points[:, None]).square().sum(-1)
+        starts = positions.gather(1, nodes[..., None].expand(-1, -1, 3))
+        points = torch.cat([starts[:, :, None], self.points_to_reach(worlds, nodes)], dim=2)
+        squares = (arms.bases[worlds][:, :, None, None, :3] - points[:, None]).square().sum((-2, -1))
         orders = torch.tensor(_orders(self.num_grippers), device=nodes.device)
         costs = squares[:, torch.arange(self.num_grippers, device=nodes.device), orders].sum(-1)
         return nodes.gather(1, orders[costs.argmin(dim=1)])
@@ -84,7 +85,7 @@ class EmbodiedWorlds(BaseEnv):
         qpos, gaps = arms.solve(worlds, self.solver.gripper_positions[worlds])
         arms.set_qpos(worlds, slice(None), qpos)
         reached = (gaps < REACHED).all(dim=1)
-        for points in self.points_to_reach(worlds).unbind(2):
+        for points in self.points_to_reach(worlds, self.start_nodes[worlds]).unbind(2):
             reached &= (arms.solve(worlds, points)[1] < REACHED).all(dim=1)
         return reached
 
