@@ -110,3 +110,22 @@ def test_substeps_are_those_of_the_variant_or_of_the_option(make_env):
 def test_substeps_out_of_range_are_refused(make_env, substeps):
     with pytest.raises(ValueError, match=r"substeps must be a whole number in \[1, 1000\], got"):
         make_env(1, substeps=substeps)
+
+
+def test_grippers_of_finite_strength_lose_the_rope_and_info_counts_it(make_env):
+    env = make_env(2, grip_strength=0.02)
+    assert "slips" not in make_env(1).unwrapped.get_info()
+    up = torch.zeros(2, 4, 3)
+    up[0, :, 2] = 1.0
+    for _ in range(4):
+        info = env.step(up.flatten(1))[-1]
+    assert (info["slips"][0] == 1).all()
+    assert (info["slips"][1] == 0).all()
+    assert env.unwrapped.solver.gripper_nodes[0].tolist() == [-1] * 4
+    env.reset()
+    assert (env.unwrapped.solver.slips == 0).all()
+
+
+def test_a_gripper_without_strength_is_refused(make_env):
+    with pytest.raises(ValueError, match="grip_strength must be finite and > 0 N, or None for unlimited, got 0"):
+        make_env(1, grip_strength=0)
