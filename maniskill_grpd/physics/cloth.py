@@ -22,8 +22,8 @@ from maniskill_grpd.physics.model import Model
 MIN_NODES, MAX_NODES = 4, 2500
 # Hinges that are folded by less than this, as sin(theta / 2), are flat: their constraint is linear in the positions.
 FLAT_SINE = 1e-4
-# One substep passes tension on by about one node: larger meshes get more of them.
-SUBSTEPS_PER_NODE_ROW = 1.0
+# A sweep over the lines of a mesh leaves errors that grow with the square of its nodes in a row and of the substep.
+MIN_SUBSTEPS, SUBSTEPS_PER_NODE_ROW = 22, 2.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +235,7 @@ def _build(surface: Surface, radius: float, material: ClothMaterial, geodesics: 
         max_strain=material.max_strain,
         wrinkle_strain=material.wrinkle_strain,
         geodesics=geodesics.astype(np.float32),
-        default_substeps=max(20, round(SUBSTEPS_PER_NODE_ROW * width)),
+        default_substeps=max(MIN_SUBSTEPS, round(SUBSTEPS_PER_NODE_ROW * width)),
     )
 
 

@@ -19,7 +19,7 @@ STANDARD_GRAVITY = 9.81
 # Largest deviation from 1 of the length of a unit vector in a state that is restored: more than rounding leaves.
 UNIT_TOLERANCE = 1e-3
 
-Axis = Literal["nodes", "grippers", "colliders", "variants"]
+Axis = Literal["nodes", "sheet_edges", "grippers", "colliders", "variants"]
 Motion = Literal["position", "vector", "plane", "rotation", "scalar"]
 """What a motion x -> R x + t does to a field.
 
@@ -126,6 +126,7 @@ COLLIDERS: tuple[Axis, ...] = ("colliders",)
 FIELDS = {
     "positions": Field(dtype=wp.vec3, shape=NODES, moves="position"),
     "velocities": Field(dtype=wp.vec3, shape=NODES, moves="vector"),
+    "tensions": Field(dtype=wp.float32, shape=("sheet_edges",), moves="scalar"),
     "inverse_masses": Field(dtype=wp.float32, shape=NODES, moves="scalar", low=0.0),
     "gravity": Field(dtype=wp.vec3, moves="vector", start=(0.0, 0.0, -STANDARD_GRAVITY)),
     "plane": Field(dtype=wp.vec4, moves="plane", start=(0.0, 0.0, 1.0, 0.0), unit=3),

@@ -92,6 +92,7 @@ class WorldGroups:
             "weights": nodes,
             "held": nodes,
             "upper": edges,
+            "carried": edges,
             "multipliers": edges,
         }
         for name, width in columns.items():

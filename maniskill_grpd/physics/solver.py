@@ -188,6 +188,7 @@ class Solver(Grasps):
         if len(self.models) > 1:
             self.positions[world_idx] *= self.node_mask[world_idx, :, None]
         self.velocities[world_idx] = 0.0
+        self.tensions[world_idx] = 0.0
         self.frozen[world_idx] = False
         self.dropped_contacts[world_idx] = 0
         self.slips[world_idx] = 0

@@ -23,6 +23,7 @@ def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self
     """Return what the kernel must be able to do."""
     return Features(
         ropes=any(model.is_rope for model in models),
+        sheets=any(not model.is_rope for model in models),
         bends=any(len(model.bends) > 0 for model in models),
         hinges=any(len(model.hinges) > 0 for model in models),
         folds=any(len(model.folds) > 0 for model in models),
@@ -62,7 +63,7 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects = Objects()
     objects.node_counts = array([model.num_nodes for model in models], int)
     objects.radii = array([model.radius for model in models], float)
-    objects.max_stretch = array([1.0 + model.max_strain for model in models], float)
+    objects.max_strains = array([model.max_strain for model in models], float)
     objects.wrinkling = array([max(1.0 - model.wrinkle_strain, 0.0) for model in models], float)
     lines = _lines_by_color(models)
     objects.line_ranges, objects.line_colors = array(lines["ranges"], int), array(lines["colors"], int)

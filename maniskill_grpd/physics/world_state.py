@@ -45,7 +45,12 @@ class WorldState:
         self.num_nodes = max(model.num_nodes for model in models)
         self.colliders = colliders
         self.device = device
-        self._sizes = {"nodes": self.num_nodes, "grippers": num_grippers, "colliders": len(colliders)}
+        self._sizes = {
+            "nodes": self.num_nodes,
+            "sheet_edges": max((len(model.edges) for model in models if not model.is_rope), default=0),
+            "grippers": num_grippers,
+            "colliders": len(colliders),
+        }
         _check_memory(num_worlds, self._sizes, device)
         self._allocate_variants()
         self._allocate_state()
@@ -101,12 +106,12 @@ class WorldState:
 
     @property
     def _saved(self) -> dict[str, tuple[Field, torch.Tensor]]:
-        """Fields on which the future depends; those of variants and colliders only where there are any."""
+        """Fields on which the future depends; those of variants, sheets and colliders only where there are any."""
         unused = {"variants"} if len(self.models) == 1 else set()
         return {
             name: (field, tensor)
             for name, (field, tensor) in self.fields.items()
-            if field.is_saved and name not in unused and (self.colliders or "colliders" not in field.shape)
+            if field.is_saved and name not in unused and all(self._sizes[axis] > 0 for axis in field.shape)
         }
 
     def _allocate_variants(self) -> None:

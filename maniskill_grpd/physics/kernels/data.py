@@ -27,6 +27,7 @@ class Line:
 
     first_edge: int
     first_node: int
+    first_column: int  # of its edges among those of the object
     first_scratch: int
     num_edges: int
 
@@ -45,6 +46,7 @@ class Features:
     """What the worlds of a solver contain. Everything else is left out of its kernel."""
 
     ropes: bool = False
+    sheets: bool = False
     bends: bool = False
     hinges: bool = False
     folds: bool = False
@@ -62,7 +64,7 @@ class Objects:
 
     node_counts: wp.array(dtype=int)
     radii: wp.array(dtype=float)
-    max_stretch: wp.array(dtype=float)  # 1 + max_strain
+    max_strains: wp.array(dtype=float)
     wrinkling: wp.array(dtype=float)  # 1 - wrinkle_strain, 0 where edges never give way
     # Lines of edges; line l has the edges line_edges[l] ... line_edges[l + 1], and one node more.
     line_ranges: wp.array(dtype=int)
@@ -218,6 +220,7 @@ def _groups(number: type, vector: type) -> type:
         collider_highs: wp.array2d(dtype=number)
         nearness: wp.array2d(dtype=number)
         upper: wp.array2d(dtype=number)
+        carried: wp.array2d(dtype=number)  # impulses that pull the ends of the edges of a sheet together in every substep
         multipliers: wp.array2d(dtype=number)
 
     return Groups

@@ -175,14 +175,14 @@ def push_rope(group: int, line: Line, tautness: Any, objects: Objects, groups: A
 
 
 @wp.func
-def project_rope_line(thread: Thread, index: int, objects: Objects, groups: Any):
+def project_rope_line(thread: Thread, index: int, dt: float, objects: Objects, groups: Any):
     """Project the stretch of all edges of a rope at once; of lines of a cloth beside it as `project_sheet_line` does.
 
     The tensions of a taut rope are solved for twice, the second time in directions to which those of the first have straightened
     it. They never come out too large: a length is a convex function of the nodes, and its linearisation lies below it.
     """
     if not objects.is_rope[thread.variant]:
-        project_sheet_line(thread, index, objects, groups)
+        project_sheet_line(thread, index, dt, objects, groups)
         return
     group = thread.group
     line = find_line(thread, index, objects)

@@ -36,7 +36,7 @@ from maniskill_grpd.physics.kernels.data import (
 from maniskill_grpd.physics.kernels.grippers import find_ways, limit_gripper_targets, stop_grippers
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
 from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
-from maniskill_grpd.physics.kernels.stretch import project_sheet_line
+from maniskill_grpd.physics.kernels.stretch import load_tensions, project_sheet_line, pull_sheet_line, store_tensions
 from maniskill_grpd.physics.kernels.tethers import load_tethers, project_tethers, sum_tethers
 
 
@@ -63,6 +63,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
                 limit_gripper_targets(world, worlds)
                 if wp.static(features.colliders):
                     stop_grippers(world, objects.radii[thread.variant], colliders, worlds)
+        if wp.static(features.sheets):  # noqa: SIM102 (left out at compile time)
+            if not objects.is_rope[thread.variant]:
+                load_tensions(thread, timing.dt, objects, worlds, groups)
         if thread.first == 0:
             load_constants(thread.group, timing.dt, worlds, groups)
             if wp.static(features.colliders):
@@ -77,8 +80,19 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         synchronize_block()
 
     @wp.func
-    def project_material(thread: Thread, objects: Objects, worlds: Worlds, groups: group_type):
+    def pull_edges(thread: Thread, objects: Objects, groups: group_type):
+        """Apply the tension that the edges of a sheet had before."""
+        if not objects.is_rope[thread.variant]:
+            for color in range(objects.line_ranges[thread.variant], objects.line_ranges[thread.variant + 1] - 1):
+                for line in range(objects.line_colors[color] + thread.first, objects.line_colors[color + 1], thread.stride):
+                    pull_sheet_line(thread, line, objects, groups)
+                synchronize_block()
+
+    @wp.func
+    def project_material(thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: group_type):
         """Project what holds an object together. Stretch comes last: length is the stiffer and the more visible."""
+        if wp.static(features.sheets):
+            pull_edges(thread, objects, groups)
         if wp.static(features.bends):
             project_bends(thread, objects, groups)
         if wp.static(features.hinges):
@@ -90,9 +104,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         for color in range(objects.line_ranges[thread.variant], objects.line_ranges[thread.variant + 1] - 1):
             for line in range(objects.line_colors[color] + thread.first, objects.line_colors[color + 1], thread.stride):
                 if wp.static(features.ropes):
-                    project_rope_line(thread, line, objects, groups)
+                    project_rope_line(thread, line, timing.dt, objects, groups)
                 else:
-                    project_sheet_line(thread, line, objects, groups)
+                    project_sheet_line(thread, line, timing.dt, objects, groups)
             synchronize_block()
 
     @wp.func
@@ -125,6 +139,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             sum_tethers(thread, objects, groups)
         for lane in range(groups.counts[thread.group]):
             store_world(thread, lane, timing, objects, worlds, groups)
+        if wp.static(features.sheets):  # noqa: SIM102 (left out at compile time)
+            if not objects.is_rope[thread.variant]:
+                store_tensions(thread, timing.dt, objects, worlds, groups)
 
     @wp.kernel(module="unique", enable_backward=False)
     def step_groups(
@@ -164,7 +181,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             for node in range(thread.first, num_nodes, thread.stride):
                 predict_node(group, node, timing.dt, progress, groups)
             synchronize_block()
-            project_material(thread, objects, worlds, groups)
+            project_material(thread, timing, objects, worlds, groups)
             if wp.static(features.colliders or features.self_contact):
                 project_contacts(thread, objects, colliders, worlds, groups, touch, contacts)
             # The table last, so that no substep ends below it.

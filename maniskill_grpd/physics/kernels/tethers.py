@@ -11,6 +11,9 @@ from maniskill_grpd.physics.kernels.lanes import add, any_positive, choose, div,
 
 # Length of the tether of a gripper that holds nothing [m].
 NO_TETHER = wp.constant(1.0e9)
+# Within this distance of a grip, through the material, a tether has no slack [m]: fingers hold a patch, whatever the mesh. As a
+# patch of fixed nodes could not turn with the cloth, the nodes in it turn about the one that is held.
+GRIP_RADIUS = wp.constant(0.025)
 
 
 @wp.func
@@ -25,7 +28,8 @@ def load_tethers(thread: Thread, node: int, objects: Objects, worlds: Worlds, gr
             length = float(NO_TETHER)
             if held >= 0:
                 has_tethers = True
-                length = objects.max_stretch[thread.variant] * objects.geodesics[worlds.variants[world], held, node]
+                distance = objects.geodesics[worlds.variants[world], held, node]
+                length = distance + objects.max_strains[thread.variant] * wp.max(distance - GRIP_RADIUS, 0.0)
             put(groups.tether_lengths[gripper], group, node, lane, length)
         zero = spread(groups.tether_impulses[gripper, group, node], 0.0)
         groups.tether_impulses[gripper, group, node] = zero
