@@ -23,7 +23,7 @@ MIN_NODES, MAX_NODES = 4, 2500
 # Hinges that are folded by less than this, as sin(theta / 2), are flat: their constraint is linear in the positions.
 FLAT_SINE = 1e-4
 # A sweep over the lines of a mesh leaves errors that grow with the square of its nodes in a row and of the substep.
-MIN_SUBSTEPS, SUBSTEPS_PER_NODE_ROW = 22, 2.2
+MIN_SUBSTEPS, SUBSTEPS_PER_NODE_ROW = 24, 2.4
 
 
 @dataclass(frozen=True, kw_only=True)
