@@ -37,7 +37,7 @@ from maniskill_grpd.tasks.worlds.choices import as_choice
 
 CLOTH_AREA = 0.0576
 """Area of the cloth [m^2]: a square of 24 cm."""
-DEFAULT_RESOLUTIONS = {1: 144, 2: 100}
+DEFAULT_RESOLUTIONS = {1: 225, 2: 100}
 """Number of nodes by the number of grippers. A corner folds across the rows of a square grid, whose cells hardly bend: coarse
 ones keep the layers apart along such a crease."""
 
@@ -144,7 +144,7 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
         Args:
             num_grippers: 2 (default) or 1.
             resolution: Number of nodes of the cloth, about, 49 to 1225; of several, each episode draws one. 100 by default with
-                two grippers and 144 with one. Much coarser cloths are too stiff along slanted creases for some of the folds.
+                two grippers and 225 with one. Much coarser cloths are too stiff along slanted creases for some of the folds.
             shapes: The cloth's outline, a name ("square" by default, "rectangle", "triangle", "hexagon", "circle", with two
                 grippers "l_shape", or one of `register_cloth_shape`) or a polygon (P, 2) [m], which keeps its size and with one
                 gripper must be convex, or a flat mesh (a `trimesh.Trimesh`, or vertices and faces), whose rim counts; of

@@ -263,7 +263,7 @@ def test_bad_options_are_refused_with_the_reason(make_folding, options, message)
         make_folding(1, **options)
 
 
-@pytest.mark.parametrize(("num_grippers", "num_nodes"), [(None, 100), (2, 100), (1, 144)])
+@pytest.mark.parametrize(("num_grippers", "num_nodes"), [(None, 100), (2, 100), (1, 225)])
 def test_one_gripper_gets_the_finer_cloth_by_default(make_folding, num_grippers, num_nodes):
     base = make_folding(1, num_grippers=num_grippers).unwrapped
     assert base.solver.num_nodes == num_nodes
