@@ -1,10 +1,10 @@
 """Strain and spin of cloth over its resolution, with the program at hand.
 
-python benchmarks/cloth_convergence.py                      # a table for docs/physics.md, some minutes
-python benchmarks/cloth_convergence.py --json cloth.json    # the rows as well
+python -m benchmarks.cloth_convergence                      # a table for docs/physics.md, some minutes
+python -m benchmarks.cloth_convergence --json cloth.json    # the rows as well
 
 The command uses nothing but the public solver, so that an older checkout can be measured by the same file:
-PYTHONPATH=OLDER python benchmarks/cloth_convergence.py
+(copied there) python -m benchmarks.cloth_convergence
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from validation.cloth_convergence import RESOLUTIONS, largest_strains, resting_spin, square_cloth, strain_at_rest
+from tests.physics.validation.cloth_convergence import RESOLUTIONS, largest_strains, resting_spin, square_cloth, strain_at_rest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,9 @@ def measure(num_nodes: int) -> dict[str, float]:
 def main(options: Options) -> None:
     """Print the table, row by row."""
     torch.set_num_threads(1)
-    print("| nodes | substeps | at rest on two corners | corners apart: median of the largest | 99th percentile | spin [kg m^2/s] | kinetic energy [J] |")  # noqa: E501
+    print(
+        "| nodes | substeps | at rest on two corners | corners apart: median of the largest | 99th percentile | spin [kg m^2/s] | kinetic energy [J] |"
+    )  # noqa: E501
     print("|--:|--:|--:|--:|--:|--:|--:|")
     rows = []
     for num_nodes in options.resolutions:

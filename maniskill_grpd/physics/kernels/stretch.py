@@ -6,7 +6,8 @@ import warp as wp
 
 from maniskill_grpd.physics.kernels.data import Line, Objects, Thread, Worlds
 from maniskill_grpd.physics.kernels.impulses import push_node
-from maniskill_grpd.physics.kernels.lanes import add, choose, div, greater, inner, mul, pick, put, root, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lane_access import pick, put
+from maniskill_grpd.physics.kernels.lanes import add, choose, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Factor on the compliance of edges that have given way to compression.
 WRINKLE_SOFTENING = wp.constant(100.0)
