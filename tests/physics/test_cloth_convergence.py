@@ -4,9 +4,9 @@ import itertools
 
 import pytest
 import torch
+from validation import cloth_convergence
 
 from maniskill_grpd.physics import Solver
-from validation import cloth_convergence
 
 
 @pytest.mark.parametrize("num_nodes", [64, 225, 1225])

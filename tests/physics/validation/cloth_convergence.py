@@ -1,12 +1,10 @@
-"""How cloth converges with its mesh: strain where it hangs and is dragged, shapes at rest, spin and energy of what should rest."""
+"""How cloth converges with its mesh: strain where it hangs and is dragged, spin and energy of what should rest."""
 
 from __future__ import annotations
 
-import numpy as np
 import torch
-from scipy.interpolate import RegularGridInterpolator
 
-from maniskill_grpd.physics import ClothMaterial, Model, Solver, cloth, sphere, square_outline
+from maniskill_grpd.physics import ClothMaterial, Model, Solver, cloth, square_outline
 
 from .corner_drag import ALL_CORNERS, drag
 
@@ -44,7 +42,7 @@ def strain_at_rest(num_nodes: int, substeps: int | None = None) -> float:
 
 
 def largest_strains(num_nodes: int, num_worlds: int) -> tuple[float, float]:
-    """Drag each corner its own way at full speed; return median and 99th percentile over worlds and steps of the largest strain."""
+    """Drag each corner its own way; return median and 99th percentile, over worlds and steps, of the largest strain."""
     largest = drag(num_nodes, num_worlds, ALL_CORNERS, apart=True).amax(dim=-1).flatten()
     return largest.median().item(), largest.quantile(0.99).item()
 
@@ -78,33 +76,3 @@ def undamped_energies(num_nodes: int, seconds: int) -> list[float]:
             solver.step()
         energies.append(spin_and_energy(solver)[2])
     return energies
-
-
-def sample_shape(solver: Solver, num: int = 8) -> np.ndarray:
-    """Return where the points of a grid of the material are, (num, num, 3) [m]."""
-    model = solver.model
-    side = round(np.sqrt(model.num_nodes))
-    order = np.lexsort(np.round(model.rest_positions[:, :2], 6).T)  # by y, then x
-    grid = solver.positions[0].numpy()[order].reshape(side, side, 3)
-    axis = np.linspace(-SIDE / 2, SIDE / 2, side)
-    points = np.linspace(-SIDE / 2, SIDE / 2, num)
-    y, x = np.meshgrid(points, points, indexing="ij")
-    return RegularGridInterpolator((axis, axis), grid)(np.stack([y, x], axis=-1))
-
-
-def drape_over_sphere(num_nodes: int, seconds: float = 6.0) -> Solver:
-    """Drop a cloth onto a sphere of 0.1 m with high friction and let it come to rest."""
-    model = square_cloth(num_nodes, friction=1.0, bend_stiffness=3e-4)
-    solver = Solver(model, 1, 1, colliders=[sphere(0.1)])
-    solver.plane[:, 3] = -10.0
-    start = torch.as_tensor(model.rest_positions)[None].clone()
-    start[..., 2] = 0.1 + model.radius
-    solver.reset(torch.tensor([0]), start)
-    for _ in range(round(seconds / solver.control_dt)):
-        solver.step()
-    return solver
-
-
-def distances_to_finest(shapes: list[np.ndarray]) -> list[float]:
-    """Return the RMS distance [m] of each shape but the last from the last."""
-    return [float(np.sqrt(np.square(shape - shapes[-1]).sum(axis=-1).mean())) for shape in shapes[:-1]]
