@@ -1,4 +1,4 @@
-"""The arrows between packages run one way; physics, graphs, policies, learning and experiments are free of the simulator."""
+"""The arrows between packages run one way; those in `FREE_OF_SIMULATOR` do not know ManiSkill."""
 
 import ast
 import subprocess
@@ -11,12 +11,13 @@ PACKAGE = Path(__file__).parent.parent / "maniskill_grpd"
 
 ALLOWED = {
     "physics": {"physics"},
+    "rendering": {"rendering", "physics"},
     "graphs": {"graphs"},
     "policies": {"policies", "graphs"},
     "learning": {"learning", "graphs", "policies"},
     "experiments": {"experiments", "runs", "learning", "graphs", "policies", "program"},
     "agents": {"agents", "physics"},
-    "tasks": {"tasks", "agents", "graphs", "physics"},
+    "tasks": {"tasks", "agents", "graphs", "physics", "rendering"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"trajectory", "tasks"},
     "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
@@ -24,7 +25,7 @@ ALLOWED = {
     "commands": {"commands", "program", "runs", "imitation", "experiments", "trajectory", "learning", "policies"},
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
-FREE_OF_SIMULATOR = {"physics", "graphs", "policies", "learning", "experiments"}
+FREE_OF_SIMULATOR = {"physics", "rendering", "graphs", "policies", "learning", "experiments"}
 FREE_OF_WARP = {"graphs", "policies", "learning", "experiments"}
 
 

@@ -1,0 +1,17 @@
+"""What pixels show."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Label(IntEnum):
+    """The classes of a segmentation."""
+
+    NONE = 0
+    TABLE = 1
+    CLOTH = 2
+    ROPE = 3
+    GRIPPER = 4
+    """Grippers and arms."""
+    OBSTACLE = 5
