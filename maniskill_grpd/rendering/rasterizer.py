@@ -6,12 +6,14 @@ import torch
 import warp as wp
 
 from maniskill_grpd.physics.launches import Launches, choose_num_threads, quiet_warp
+from maniskill_grpd.rendering import palette
 from maniskill_grpd.rendering.cameras import Lens
 from maniskill_grpd.rendering.kernels.data import Bands, Images
 from maniskill_grpd.rendering.kernels.outputs import Light, read_colors, read_labels, read_normals, shade_faces
 from maniskill_grpd.rendering.kernels.projection import project_vertices
 from maniskill_grpd.rendering.kernels.triangles import draw_triangles
 from maniskill_grpd.rendering.kernels.visibility import Points, hide_points, sort_points
+from maniskill_grpd.rendering.streams import warp_stream
 from maniskill_grpd.rendering.triangle_scene import TriangleScene
 
 MAX_BYTES = 8 * 2**30
@@ -22,10 +24,8 @@ ROWS_PER_THREAD = 4
 MAX_CELLS = 64
 """Most cells along each side of the grid in which points are found."""
 GREY = 0.7
-TOWARDS_LAMP = (-0.45, -0.30, 0.84)
 AMBIENT, LAMP, CAMERA = 0.44, 0.46, 0.18
 """Shares of the light from everywhere, from the lamp and from the camera."""
-BACKGROUND = (0.975, 0.972, 0.962)
 
 
 class Rasterizer:
@@ -222,11 +222,9 @@ class Rasterizer:
         return wp.launch(kernel, dim=dim, inputs=[self._images, *inputs], device=str(self.scene.device), record_cmd=True)
 
     def _launch(self, kernel: wp.Kernel, dim: int | tuple[int, int], inputs: list) -> None:
-        stream = None
-        if self.scene.device.type == "cuda":
-            stream = wp.stream_from_torch(torch.cuda.current_stream(self.scene.device))
+        device = self.scene.device
         with quiet_warp():
-            wp.launch(kernel, dim=dim, inputs=[self._images, *inputs], device=str(self.scene.device), stream=stream)
+            wp.launch(kernel, dim=dim, inputs=[self._images, *inputs], device=str(device), stream=warp_stream(device))
 
 
 def rows_per_thread(height: int, device: torch.device) -> int:
@@ -236,7 +234,7 @@ def rows_per_thread(height: int, device: torch.device) -> int:
 
 def _default_light() -> Light:
     light = Light()
-    light.towards_lamp = wp.normalize(wp.vec3(*TOWARDS_LAMP))
+    light.towards_lamp = wp.vec3(*palette.LIGHT_DIRECTION)
     light.ambient, light.lamp, light.camera = AMBIENT, LAMP, CAMERA
-    light.background = wp.vec3(*BACKGROUND)
+    light.background = wp.vec3(*palette.BACKGROUND)
     return light

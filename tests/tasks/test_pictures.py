@@ -8,7 +8,8 @@ import pytest
 import torch
 import trimesh
 
-from maniskill_grpd.tasks.pictures import palette, render_device
+from maniskill_grpd.rendering import palette
+from maniskill_grpd.tasks.pictures import render_device
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
 from maniskill_grpd.tasks.pictures.pinhole_camera import PinholeCamera

@@ -27,7 +27,7 @@ class Images:
     far: float
     width: int
     height: int
-    # Pixels (x, y) and nearness of the vertices, (I, V); nearness 0 where they are not in front of the near plane.
+    # Pixels (x, y) and nearness of the vertices, (I, V); nearness <= 0 where they are not in front of the near plane.
     projected: wp.array2d(dtype=wp.vec3)
     # Nearness of the foremost triangle and its index, -1 for none; row y of image i is row i height + y.
     nearness: wp.array2d(dtype=float)

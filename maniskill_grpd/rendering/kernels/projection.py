@@ -7,6 +7,9 @@ from maniskill_grpd.rendering.kernels.data import Images
 wp.set_module_options({"enable_backward": False})
 
 
+NOWHERE = wp.constant(-1.0e9)  # nearness of vertices that are not finite
+
+
 @wp.func
 def in_camera(image: int, point: wp.vec3, images: Images) -> wp.vec3:
     """Return a point of the world in the frame of a camera."""
@@ -23,12 +26,14 @@ def project(image: int, point: wp.vec3, images: Images) -> wp.vec3:
 
 @wp.kernel
 def project_vertices(images: Images, first_image: int):
-    """Project one vertex into one image; a vertex that is not finite belongs to nothing and is in front of no camera."""
+    """Project one vertex into one image."""
     part, vertex = wp.tid()
     image = first_image + part
     point = in_camera(image, images.vertices[image // images.num_cameras, vertex], images)
     seen = wp.vec3(0.0, 0.0, 0.0)
-    if point[2] >= images.near:
+    if not wp.isfinite(point[2]):
+        seen = wp.vec3(0.0, 0.0, NOWHERE)
+    elif point[2] >= images.near:
         seen = project(image, point, images)
     images.projected[image, vertex] = seen
 
@@ -81,7 +86,7 @@ def cut_triangle(image: int, corners: wp.vec3i, images: Images) -> Polygon:
 
 @wp.func
 def in_front(image: int, corners: wp.vec3i, images: Images) -> Polygon:
-    """Return what of a triangle is in front of the near plane."""
+    """Return what of a triangle is in front of the near plane; nothing of one that has a corner nowhere."""
     shape = Polygon()
     shape.count = 0
     shape.p = images.projected[image, corners[0]]
@@ -89,6 +94,6 @@ def in_front(image: int, corners: wp.vec3i, images: Images) -> Polygon:
     shape.r = images.projected[image, corners[2]]
     if shape.p[2] > 0.0 and shape.q[2] > 0.0 and shape.r[2] > 0.0:
         shape.count = 3
-    elif shape.p[2] > 0.0 or shape.q[2] > 0.0 or shape.r[2] > 0.0:
+    elif shape.p[2] + shape.q[2] + shape.r[2] > 0.0:
         shape = cut_triangle(image, corners, images)
     return shape

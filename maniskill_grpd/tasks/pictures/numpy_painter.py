@@ -7,7 +7,7 @@ import torch
 from mani_skill.sensors.camera import CameraConfig
 from scipy.ndimage import uniform_filter
 
-from maniskill_grpd.tasks.pictures import palette
+from maniskill_grpd.rendering import palette
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Tube
 from maniskill_grpd.tasks.pictures.pinhole_camera import PinholeCamera
 from maniskill_grpd.tasks.pictures.rasterizer import Canvas, scan

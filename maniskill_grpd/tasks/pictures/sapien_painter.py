@@ -6,7 +6,7 @@ import numpy as np
 import sapien
 import trimesh
 
-from maniskill_grpd.tasks.pictures import palette
+from maniskill_grpd.rendering import palette
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid
 from maniskill_grpd.tasks.pictures.surfaces import (
     Surface,

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 import trimesh
 
-from maniskill_grpd.tasks.pictures import palette
+from maniskill_grpd.rendering import palette
+from maniskill_grpd.rendering.bodies import JAW_OPENING, JAW_RADIUS, TABLE_HALF_SIZE
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 
 TUBE_SIDES = 12
@@ -21,16 +22,11 @@ GHOST_THICKNESS = 1.45
 MARK_RADIUS = 0.0025
 """Half the thickness of outlines and lines [m]."""
 DASH_LENGTH = 0.02
-TABLE_HALF_SIZE = 0.8
 TILE_SIZE = 0.1
 """Distance of the lines on the table [m]."""
 TABLE_LINE_WIDTH = 0.003
 LINE_HEIGHT, SHADOW_HEIGHT = 0.0003, 0.0006
 """Where lines and shadows lie above the table [m]: far enough to be told apart."""
-JAW_RADIUS = 0.016
-"""Radius of the grippers' balls [m]."""
-JAW_OPENING = 0.014
-"""Distance of the two halves of the ball of an open gripper [m]."""
 
 
 @dataclass(frozen=True)

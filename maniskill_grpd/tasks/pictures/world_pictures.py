@@ -12,7 +12,7 @@ from mani_skill.sensors.camera import CameraConfig
 from mani_skill.utils import sapien_utils
 
 from maniskill_grpd.physics import Model, Solver
-from maniskill_grpd.tasks.pictures import palette
+from maniskill_grpd.rendering import palette
 from maniskill_grpd.tasks.pictures.arm_solids import arm_solids
 from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
