@@ -136,15 +136,18 @@ class Rasterizer:
         self._launch(read_normals, self._num_rows, [wp.from_torch(normals.flatten(0, 2), dtype=wp.vec3)])
         return normals
 
-    def colors(self) -> torch.Tensor:
-        """Return flat-shaded pictures, lit from everywhere, by a lamp and from the camera, (B, C, H, W, 3) uint8."""
+    def colors(self, *, is_lit: bool = True) -> torch.Tensor:
+        """Return flat-shaded pictures, lit from everywhere, by a lamp and from the camera, (B, C, H, W, 3) uint8.
+
+        Without light they show the colours of the triangles.
+        """
         scene = self.scene
         fronts = torch.full((*scene.labels.shape, 3), GREY, device=scene.device) if scene.fronts is None else scene.fronts
         backs = fronts if scene.backs is None else scene.backs
         shades = torch.empty(self.num_images, scene.triangles.shape[1], 3, device=scene.device)
         colors = torch.empty(*self.faces.shape, 3, dtype=torch.uint8, device=scene.device)
         sides = [wp.from_torch(side, dtype=wp.vec3) for side in (fronts, backs, shades)]
-        light = _default_light()
+        light = _light(*(AMBIENT, LAMP, CAMERA) if is_lit else (1.0, 0.0, 0.0))
         self._launch(shade_faces, tuple(shades.shape[:2]), [light, *sides])
         self._launch(read_colors, self._num_rows, [sides[2], light, wp.from_torch(colors.flatten(0, 2))])
         return colors
@@ -232,9 +235,9 @@ def rows_per_thread(height: int, device: torch.device) -> int:
     return height if device.type == "cpu" else min(ROWS_PER_THREAD, height)
 
 
-def _default_light() -> Light:
+def _light(ambient: float, lamp: float, camera: float) -> Light:
     light = Light()
     light.towards_lamp = wp.vec3(*palette.LIGHT_DIRECTION)
-    light.ambient, light.lamp, light.camera = AMBIENT, LAMP, CAMERA
+    light.ambient, light.lamp, light.camera = ambient, lamp, camera
     light.background = wp.vec3(*palette.BACKGROUND)
     return light

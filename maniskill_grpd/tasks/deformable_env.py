@@ -20,7 +20,6 @@ from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, contro
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.substeps import check_substeps
-from maniskill_grpd.tasks.pictures.painters import choose_painter
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
@@ -58,11 +57,11 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
 
     Args:
         num_envs: Number of worlds B.
-        obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill where
-            SAPIEN can draw, or any of them joined as in "state+graph" and "graph+rgb".
+        obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill, or any of them joined as in
+            "state+graph" and "graph+depth".
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
-        render_backend: "auto" (what can draw, else "none"), or a backend of ManiSkill. Without one,
-            `render_mode="rgb_array"` draws with numpy.
+        render_backend: "auto": image observations by a rasteriser in Warp, pictures by SAPIEN where it can draw; "warp" or
+            "none": all without SAPIEN; or a backend of ManiSkill, for SAPIEN. `env.unwrapped.backend.render_backend` says which.
         num_grippers: Number of grippers A, one of `GRIPPER_COUNTS`.
         robot_uids: "floating_grippers_<A>", which drives all of them (default), or a tuple of
             agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions
@@ -139,6 +138,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._compute_device = choose_compute_device(sim_backend)
         self._render_device_name = choose_render_device(render_backend, render_mode, base_mode)
         self._drawn_worlds = range(num_envs)
+        self._is_drawn = render_mode is not None or needs_camera(base_mode)
         with torch.inference_mode(False):  # whoever makes an environment in that mode may use it outside
             super().__init__(
                 num_envs=num_envs,
@@ -211,9 +211,10 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def backend(self, backend: Any) -> None:
         # ManiSkill forbids several worlds on a backend of the name "physx_cpu", which this is not.
         backend.sim_backend = f"warp_{self._compute_device.type}"
-        if self._render_device_name is not None:
-            backend.render_device = sapien.Device(self._render_device_name)
-            backend.render_backend = f"sapien_{self._render_device_name}"
+        name = self._render_device_name
+        backend.render_device = None if name is None else sapien.Device(name)
+        drawn = f"warp_{self._compute_device.type}" if self._is_drawn else "none"
+        backend.render_backend = drawn if name is None else f"sapien_{name}"
         self._backend = backend
 
     def _adopt_compute_device(self) -> None:
@@ -268,7 +269,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self.allocate_episode()
         self._set_up_graph()
-        self._painter = choose_painter(self)
+        self._set_up_drawing(options)
 
     def episode_tensor(self, name: str, *shape: int, kind: Kind) -> torch.Tensor:
         """Return zeros (B, *shape), float32, that are part of the state of an episode and move with its world."""

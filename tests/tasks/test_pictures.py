@@ -251,14 +251,10 @@ def test_rgb_array_works_without_a_renderer(make_env, requested):
 
 
 @pytest.mark.usefixtures("no_renderer")
-@pytest.mark.parametrize(
-    "options",
-    [{"obs_mode": "rgb"}, {"obs_mode": "graph+rgb"}, {"obs_mode": "pointcloud"}]
-    + [{"render_mode": mode} for mode in ("human", "sensors", "all")],
-)
-def test_what_needs_a_renderer_says_how_to_get_one(make_env, options):
-    with pytest.raises(ValueError, match="needs a renderer.*Vulkan.*apt-get install mesa-vulkan-drivers"):
-        make_env(1, render_backend="auto", **options)
+@pytest.mark.parametrize("requested", ["auto", "none", "cpu"])
+def test_the_viewer_needs_sapien_and_says_how_to_get_it(make_env, requested):
+    with pytest.raises(ValueError, match="needs SAPIEN.*Vulkan.*apt-get install mesa-vulkan-drivers"):
+        make_env(1, render_backend=requested, render_mode="human")
 
 
 def test_probe_survives_a_crashing_driver_and_remembers(monkeypatch):
@@ -281,6 +277,12 @@ def test_render_backends_are_tried_in_order(monkeypatch):
     assert choose_render_device("auto", "rgb_array", "none") == "cpu"
     assert tried == ["cuda", "cpu"]
     assert choose_render_device("sapien_cpu", None, "rgb") == "cpu"
+    assert choose_render_device("auto", "human", "rgb") == "cpu"
+    del tried[:]
+    # SAPIEN draws one world after the other: not observations, unless it is asked to.
+    assert [choose_render_device(name, "rgb_array", "rgb") for name in ("auto", "warp", "none", None)] == [None] * 4
+    assert choose_render_device("warp", "rgb_array", "none") is None
+    assert tried == []
     assert choose_render_device("gpu", "rgb_array", "none") is None
     assert choose_render_device("sapien_cuda:1", "rgb_array", "none") is None
     assert tried[-2:] == ["cuda", "cuda:1"]

@@ -18,7 +18,7 @@ def choose_painter(env: WorldPictures) -> Painter | None:
         from maniskill_grpd.tasks.pictures.sapien_painter import SapienPainter
 
         return SapienPainter(env.scene)
-    if env.render_mode == "rgb_array":
+    if env.render_mode in ("rgb_array", "all"):
         from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
 
         configs = parse_camera_configs(env._default_human_render_camera_configs)

@@ -15,6 +15,8 @@ PROBE_TIMEOUT = 120.0
 """Patience with a driver that hangs [s]; most answer in a second, some take a minute."""
 AUTOMATIC_DEVICES = ("cuda", "cpu", "pci:0")
 """Devices to try, best first. The first two names miss some GPUs and software drivers."""
+WITHOUT_SAPIEN = ("warp", "none", None)
+"""Render backends for which SAPIEN is not asked."""
 INSTALL_HINT = (
     "SAPIEN needs a Vulkan driver: that of an NVIDIA GPU, or Mesa's software driver from version "
     "23 on (Debian 13 / Ubuntu 24.04: apt-get install mesa-vulkan-drivers libvulkan1)"
@@ -42,26 +44,27 @@ def choose_render_device(requested: str | None, render_mode: str | None, obs_mod
     """Return SAPIEN's name of the device to draw with, None where nothing is drawn by SAPIEN.
 
     Args:
-        requested: "auto" (whatever can draw), "none", None, or a render backend of ManiSkill
-            ("gpu", "cuda", "cpu", "sapien_cuda", "sapien_cpu", "cuda:1", "pci:0").
-        render_mode: ManiSkill's render mode. "rgb_array" does without SAPIEN.
+        requested: "auto": image observations without SAPIEN, which draws one world after the other, pictures with whatever can
+            draw; "warp", "none" or None: never SAPIEN; or a render backend of ManiSkill ("gpu", "cuda", "cpu", "sapien_cuda",
+            "sapien_cpu", "cuda:1", "pci:0").
+        render_mode: ManiSkill's render mode. Only "human" needs SAPIEN.
         obs_mode: ManiSkill's part of the observation mode.
 
     Raises:
         ValueError: If SAPIEN is needed and cannot draw. Says how to get a renderer.
     """
     has_images = needs_camera(obs_mode)
-    if render_mode is None and not has_images:
+    needs_sapien = render_mode == "human"
+    if (render_mode is None and not has_images) or (requested == "auto" and has_images and not needs_sapien):
         return None
     device = next((name for name in _candidates(requested) if can_draw(name)), None)
-    if device is None and (has_images or render_mode != "rgb_array"):
-        wanted = f"obs_mode with {obs_mode!r}" if has_images else f"render_mode {render_mode!r}"
+    if device is None and needs_sapien:
         raise ValueError(
-            f"{wanted} needs a renderer, and render_backend {requested!r} finds none that works. "
-            f'{INSTALL_HINT}. render_mode "rgb_array" works without.'
+            f"render_mode {render_mode!r} needs SAPIEN, and render_backend {requested!r} finds no device on which it can draw. "
+            f"{INSTALL_HINT}. All other modes work without."
         )
-    if device is None and requested not in ("auto", "none", None):
-        logger.warning(f"render_backend {requested!r} cannot draw here; numpy draws the pictures")
+    if device is None and requested not in ("auto", *WITHOUT_SAPIEN):
+        logger.warning(f"render_backend {requested!r} cannot draw here; images are drawn without SAPIEN, in Warp")
     return device
 
 
@@ -82,7 +85,7 @@ def can_draw(device: str) -> bool:
 
 
 def _candidates(requested: str | None) -> tuple[str, ...]:
-    if requested in ("none", None):
+    if requested in WITHOUT_SAPIEN:
         return ()
     if requested == "auto":
         return AUTOMATIC_DEVICES

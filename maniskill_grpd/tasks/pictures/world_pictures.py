@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from mani_skill.sensors.camera import CameraConfig
+from mani_skill.sensors.camera import CameraConfig, parse_camera_configs
 from mani_skill.utils import sapien_utils
+from mani_skill.utils.visualization.misc import tile_images
 
 from maniskill_grpd.physics import Model, Solver
-from maniskill_grpd.rendering import palette
+from maniskill_grpd.rendering import SolverScene, palette
+from maniskill_grpd.tasks.options.observation_mode import needs_camera
 from maniskill_grpd.tasks.pictures.arm_solids import arm_solids
 from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
+from maniskill_grpd.tasks.pictures.painters import choose_painter
+from maniskill_grpd.tasks.pictures.raster_camera import MILLIMETRES, GripperMount, RasterCamera, camera_configs
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.embodied_worlds import EmbodiedWorlds
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
@@ -36,8 +41,8 @@ MAX_DRAWN_WORLDS = 16
 class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     """The part of an environment that takes pictures.
 
-    SAPIEN has one stage for all worlds: each is mirrored on it in turn. Without SAPIEN, numpy
-    draws what `render_mode="rgb_array"` returns.
+    Without SAPIEN the rasteriser draws what the cameras of all worlds see at once, and numpy what `render_mode="rgb_array"`
+    returns. SAPIEN has one stage for all worlds: each is mirrored on it in turn.
     """
 
     CAMERA_POSITION = (0.0, -0.7, 1.15)
@@ -56,7 +61,9 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     solver: Solver
     models: tuple[Model, ...]
     """The variants of the object, among which each episode draws one."""
-    _painter: Painter
+    _painter: Painter | None
+    _raster_view: SolverScene | None
+    """What the cameras of the rasteriser see, where it draws observations."""
     _drawn_worlds: range
     """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
 
@@ -127,11 +134,20 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
 
     def render_sensors(self) -> torch.Tensor:
         """Return what the cameras of each world see, side by side."""
-        return self._picture_worlds(super().render_sensors)
+        if self._raster_view is None:
+            return self._picture_worlds(super().render_sensors)
+        return tile_images(self._sensor_pictures())
 
     def render_all(self) -> torch.Tensor:
         """Return `render_rgb_array` and `render_sensors` side by side."""
-        return self._picture_worlds(super().render_all)
+        if self._raster_view is None:
+            return self._picture_worlds(super().render_all)
+        return tile_images([self.render_rgb_array().to(self.device), *self._sensor_pictures()])
+
+    def _sensor_pictures(self) -> list[torch.Tensor]:
+        """Return all images of all cameras as pictures, of at most as many worlds as are drawn."""
+        cameras = self.get_sensor_images().values()
+        return [image[:MAX_DRAWN_WORLDS] for images in cameras for image in images.values()]
 
     def render_human(self) -> Any:
         """Show the first world in SAPIEN's viewer."""
@@ -140,14 +156,55 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         return super().render_human()
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
-        """Return the cameras' parameters, (B, ...): all worlds are seen by the same cameras."""
+        """Return the cameras' parameters, (B, ...)."""
+        if self._raster_view is not None:
+            return super().get_sensor_params()
         num = len(self._drawn_worlds)
         return {
             camera: {name: value.repeat(num, *[1] * (value.ndim - 1)) for name, value in params.items()}
             for camera, params in super().get_sensor_params().items()
         }
 
+    def _set_up_drawing(self, options: dict) -> None:
+        """Choose who paints, and set up the cameras of the rasteriser; ManiSkill sets up those of SAPIEN."""
+        self._painter, self._raster_view = choose_painter(self), None
+        has_sensors = needs_camera(self._obs_mode) or self.render_mode in ("sensors", "all")
+        if has_sensors and not self.scene.can_render():
+            self._setup_sensors(options)
+
+    def _setup_sensors(self, options: dict) -> None:
+        """Set up the cameras, those of the rasteriser where SAPIEN does not draw."""
+        if self.scene.can_render():
+            super()._setup_sensors(options)
+            return
+        configs = camera_configs(self._default_sensor_configs, None, "the task")
+        configs |= parse_camera_configs(self.agent._sensor_configs)
+        self._sensor_configs = camera_configs(configs, self._custom_sensor_configs, "sensor_configs")
+        self._raster_view = SolverScene(self.solver, has_table=self.HAS_TABLE)
+        carriers: dict[str, Any] = {name: link for agent in self._agents for name, link in agent.robot.links_map.items()}
+        positions = self.solver.gripper_positions
+        carriers |= {f"gripper_{index}": GripperMount(positions, index) for index in range(self.num_grippers)}
+        view = self._raster_view
+        self._sensors = {uid: RasterCamera(config, view, carriers) for uid, config in self._sensor_configs.items()}
+        self.scene.sensors = self._sensors
+
+    def _rasterize_sensors(self, apply_texture_transforms: bool) -> dict[str, dict[str, torch.Tensor]]:
+        """Return what the cameras see in all worlds."""
+        self._raster_view.update()
+        self.capture_sensor_data()
+        wanted = asdict(self.obs_mode_struct.visual)
+        images = {
+            uid: camera.get_obs(**wanted, apply_texture_transforms=apply_texture_transforms)
+            for uid, camera in self._sensors.items()
+        }
+        if self._obs_mode == "pointcloud":  # ManiSkill makes the points of these, and they need not be rounded
+            for uid, camera in self._sensors.items():
+                images[uid]["position"] = camera.positions() * MILLIMETRES
+        return images
+
     def _get_obs_sensor_data(self, apply_texture_transforms: bool = True) -> dict:
+        if self._raster_view is not None:
+            return self._rasterize_sensors(apply_texture_transforms)
         images = []
         for world in self._drawn_worlds:
             self._painter.show(self.checked_drawing(world), hide_goal=True)
