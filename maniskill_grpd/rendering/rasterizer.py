@@ -35,7 +35,7 @@ class Rasterizer:
     shows what the ray through its centre (x + 1/2, y + 1/2) meets first between the near and the far plane. An image depends on
     its own world alone: whatever the batch, the threads and the bands, it comes out bit for bit the same.
 
-    `draw()` draws; everything else tells of what was drawn last.
+    `draw()` draws; everything else tells of what was drawn last, `visible` also of what was looked at last with `look()`.
 
     Attributes:
         intrinsics: Matrices of the cameras, (C, 3, 3) [pixels]; without skew.
@@ -102,12 +102,16 @@ class Rasterizer:
 
     def draw(self) -> None:
         """Draw what the cameras see of the scene now."""
+        self.look()
+        self._drawing.run()
+
+    def look(self) -> None:
+        """Find where the vertices appear in the images now; `visible` needs no more."""
         extrinsics = self.extrinsics.flatten(0, 1)
         self._rotations.copy_(extrinsics[:, :, :3])
         self._offsets.copy_(extrinsics[:, :, 3])
         self._lenses.copy_(self.intrinsics[:, [0, 1, 0, 1], [0, 1, 2, 2]])
         self._projection.run()
-        self._drawing.run()
 
     def depth(self) -> torch.Tensor:
         """Return how far along the axis of the camera what is seen lies, infinity for nothing, (B, C, H, W) [m]."""

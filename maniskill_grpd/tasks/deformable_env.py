@@ -20,8 +20,8 @@ from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, contro
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.substeps import check_substeps
+from maniskill_grpd.tasks.options.visibility import choose_visibility
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
-from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_starts import EpisodeStarts
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
@@ -36,7 +36,7 @@ OUT_OF_REACH = 100.0
 """How far below the origin the table of a task without one is [m]."""
 
 
-class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorlds, WorldPictures):
+class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorlds):
     """A batch of worlds in which floating grippers, or arms, manipulate a deformable object.
 
     The truth lives in `solver` (a batched XPBD solver on CPU or CUDA); SAPIEN, if it can draw, only
@@ -82,6 +82,9 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             default. `info["slips"]` counts it.
         substeps: Substeps of the solver in a control step, 1 to 1,000; by default what each variant of
             the object needs.
+        visibility: None (default): the graph shows all nodes; "camera": those that at least one of the task's cameras sees, which
+            `sensor_configs` can move, and those that grippers hold.
+        hidden_nodes: "mask" (default): the others are masked; "stale": they stay as they were last seen, with an age.
         num_threads: CPU threads of the solver, chosen by it by default.
         settings: Further settings of ManiSkill's `BaseEnv`.
 
@@ -114,6 +117,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         graph_nodes: int | None = None,
         graph_features: str = "paper",
         grip_strength: float | None = None,
+        visibility: str | None = None,
+        hidden_nodes: str = "mask",
         substeps: int | None = None,
         num_threads: int | None = None,
         **settings: Any,
@@ -130,6 +135,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
+        self._visibility = choose_visibility(visibility, hidden_nodes, base_mode if self._has_graph else None, graph_features)
         self.pose_share = POSE_RANGES[pose_range]
         self._num_graph_nodes, self.graph_features = graph_nodes, graph_features
         self._grip_strength = grip_strength
@@ -299,6 +305,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             (draws,) = self.draw_uniform(worlds, self._material.num_draws)
             solver.set_material(worlds, **self._material.factors(draws))
         solver.reset(worlds, positions, self.start_nodes[worlds])
+        self._forget_what_was_seen(worlds)
 
     # ------------------------------------------------------------------ one control step
 
@@ -310,6 +317,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def _after_simulation_step(self) -> None:
         for agent in self._agents:
             agent.robot.finish_motion(self.control_timestep)
+        super()._after_simulation_step()
 
     def get_info(self) -> dict[str, torch.Tensor]:
         """Return `elapsed_steps`, what `evaluate` measures, how arms get on and `slips` (B, A) of a finite grip, as copies."""

@@ -11,4 +11,5 @@ ARC = Channel("arc", "scalar", "", "|2 s - 1| for arc fraction s: 0 in the middl
 CORNER = Channel("corner", "scalar", "", "1 at the corners of a cloth, falling to 0 at the node farthest from them, design")
 HELD = Channel("held", "scalar", "", "1 where a gripper holds the node, design")
 CONTACT = Channel("contact", "scalar", "", "1 where the node touches the table, design")
+AGE = Channel("age", "scalar", "s", "time since the node was last seen, design")
 GRIPPER_STATUS = Channel("gripper_status", "scalar", "", "1 closed, eq. 43")

@@ -81,9 +81,7 @@ class GraphObservation:
         solver, variants = self._solver, self._solver.variants.long()
         along = self._along[variants]
         nodes = _stack_channels("object", solver.positions, self._common_values(variants), object_values, self.schema.object)
-        if self._is_thinned:
-            rows = torch.arange(solver.num_worlds, device=solver.device)[:, None]
-            nodes = {key: value[rows, self._nodes[variants]] for key, value in nodes.items()}
+        nodes = {key: self.thinned(value) for key, value in nodes.items()}
         nodes |= {"mask": self._mask[variants], "neighbors": self._neighbors[variants]}
         common = {
             channels.VELOCITY.name: gripper_velocities,
@@ -93,6 +91,18 @@ class GraphObservation:
         grippers = _stack_channels("gripper", solver.gripper_positions, common, gripper_values, self.schema.actuator)
         grippers["mask"] = torch.ones_like(solver.closed)
         return {"object": nodes, "actuator": grippers, "gravity": solver.gravity.clone()}
+
+    def thinned(self, values: torch.Tensor) -> torch.Tensor:
+        """Return what the nodes of the graph have of values of all nodes, (B, N, ...) to (B, n, ...)."""
+        if not self._is_thinned:
+            return values
+        rows = torch.arange(len(values), device=values.device)[:, None]
+        return values[rows, self._nodes[self._solver.variants.long()]]
+
+    @property
+    def num_nodes(self) -> int:
+        """Number of object nodes n in the graph, with padding."""
+        return self._mask.shape[1]
 
     def _tabulate(self, nodes: list[np.ndarray], neighbors: list[np.ndarray]) -> None:
         """Set up tables of all M variants, padded to n nodes of K neighbours."""
@@ -121,6 +131,7 @@ class GraphObservation:
             channels.VELOCITY.name: solver.velocities,
             self._place.name: self._along[variants],
             channels.HELD.name: (solver.holder >= 0).float(),
+            channels.AGE.name: torch.zeros_like(height),
             channels.CONTACT.name: (height < CONTACT_DISTANCE * solver.model.radius).float(),
         }
 

@@ -11,13 +11,15 @@ from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.tasks.measurement import Measurement
 from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
-from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
+from maniskill_grpd.tasks.observation.partial_view import MaskedView, Sight, StaleView
+from maniskill_grpd.tasks.options.visibility import Visibility
+from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 
 GRAPH_FEATURES = ("paper", "rich")
 """What grippers may tell: themselves alone, as in eq. 43, or the goal and summaries of the whole object too."""
 
 
-class ObservedWorlds(MeasuredWorlds):
+class ObservedWorlds(WorldPictures):
     """The part of an environment that adds a graph to ManiSkill's observations, and the nodes to its states."""
 
     OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
@@ -36,6 +38,9 @@ class ObservedWorlds(MeasuredWorlds):
     _graph: GraphObservation
     _num_graph_nodes: int | None
     _has_graph: bool
+    _visibility: Visibility
+    _sight: Sight | None
+    _partial_view: MaskedView | StaleView | None
     _full_obs_mode: str
 
     def object_values(self, measurement: Measurement) -> dict[str, torch.Tensor]:
@@ -77,19 +82,42 @@ class ObservedWorlds(MeasuredWorlds):
 
     def _set_up_graph(self) -> None:
         """Choose nodes and channels, once the solver is there."""
+        shown = (*self.OBJECT_CHANNELS, channels.AGE) if self._visibility.keeps_stale else self.OBJECT_CHANNELS
         told = self.gripper_channels(self.graph_features)
         self._untold = {channel.name for channel in self.gripper_channels("rich")} - {channel.name for channel in told}
-        self._graph = GraphObservation(
-            self.solver, self.candidate_gripper_nodes, self.OBJECT_CHANNELS, told, self._num_graph_nodes
-        )
+        self._graph = GraphObservation(self.solver, self.candidate_gripper_nodes, shown, told, self._num_graph_nodes)
         self.graph_schema = self._graph.schema
+        self._set_up_sight()
 
     def _get_obs_graph(self) -> dict[str, Any]:
         """Return the graph that `graph_schema` describes."""
         velocities = torch.cat([agent.robot.velocities for agent in self._agents], dim=1)
         measured = self.measurement
         grippers = {name: value for name, value in self.gripper_values(measured).items() if name not in self._untold}
-        return self._graph.build(self.start_nodes, velocities, self.object_values(measured), grippers)
+        graph = self._graph.build(self.start_nodes, velocities, self.object_values(measured), grippers)
+        if self._sight is not None:
+            graph["object"] = self._partial_view.show(graph["object"], self._graph.thinned(self._sight.seen()))
+        return graph
+
+    def _set_up_sight(self) -> None:
+        """Let the graph show what the cameras see, where that is wanted; `_graph` is there."""
+        self._sight = self._partial_view = None
+        if not self._visibility.by_camera:
+            return
+        view, cameras = self._rasterized_cameras()
+        self._sight = Sight(self.solver, view, list(cameras.values()))
+        if self._visibility.keeps_stale:
+            self._partial_view = StaleView(self._graph.num_nodes, self.graph_schema, self.episode_tensor)
+        else:
+            self._partial_view = MaskedView()
+
+    def _forget_what_was_seen(self, worlds: torch.Tensor) -> None:
+        if isinstance(self._partial_view, StaleView):
+            self._partial_view.forget(worlds)
+
+    def _after_simulation_step(self) -> None:
+        if isinstance(self._partial_view, StaleView):
+            self._partial_view.grow_older(self.control_timestep)
 
     def _get_obs_extra(self, info: dict) -> dict[str, torch.Tensor]:
         """Return the goal and, in observations of the state, where the nodes of the object are and how they move."""

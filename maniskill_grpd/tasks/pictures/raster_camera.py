@@ -47,9 +47,21 @@ class RasterCamera(Camera):
 
     def capture(self) -> None:
         """Draw what the camera sees; `SolverScene.update` comes first."""
+        self._follow()
+        self._rasterizer.draw()
+
+    def visible(self, points: torch.Tensor, tolerance: float) -> torch.Tensor:
+        """Tell which points (B, P, 3) [m] the camera sees now, (B, P); `SolverScene.update` comes first.
+
+        See `Rasterizer.visible`.
+        """
+        self._follow()
+        self._rasterizer.look()
+        return self._rasterizer.visible(points, tolerance)[:, 0]
+
+    def _follow(self) -> None:
         if self.entity is not None:
             self._rasterizer.extrinsics.copy_(self._extrinsics()[:, None])
-        self._rasterizer.draw()
 
     def get_obs(
         self,

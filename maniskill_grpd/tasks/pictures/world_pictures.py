@@ -177,16 +177,19 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         if self.scene.can_render():
             super()._setup_sensors(options)
             return
-        configs = camera_configs(self._default_sensor_configs, None, "the task")
-        configs |= parse_camera_configs(self.agent._sensor_configs)
-        self._sensor_configs = camera_configs(configs, self._custom_sensor_configs, "sensor_configs")
-        self._raster_view = SolverScene(self.solver, has_table=self.HAS_TABLE)
+        self._raster_view, self._sensors = self._rasterized_cameras()
+        self._sensor_configs = {uid: camera.config for uid, camera in self._sensors.items()}
+        self.scene.sensors = self._sensors
+
+    def _rasterized_cameras(self) -> tuple[SolverScene, dict[str, RasterCamera]]:
+        """Return cameras of the rasteriser, set up as the task, the agents and the user want them, and what they see."""
+        configs = {**parse_camera_configs(self._default_sensor_configs), **parse_camera_configs(self.agent._sensor_configs)}
+        configs = camera_configs(configs, self._custom_sensor_configs, "sensor_configs")
+        view = SolverScene(self.solver, has_table=self.HAS_TABLE)
         carriers: dict[str, Any] = {name: link for agent in self._agents for name, link in agent.robot.links_map.items()}
         positions = self.solver.gripper_positions
         carriers |= {f"gripper_{index}": GripperMount(positions, index) for index in range(self.num_grippers)}
-        view = self._raster_view
-        self._sensors = {uid: RasterCamera(config, view, carriers) for uid, config in self._sensor_configs.items()}
-        self.scene.sensors = self._sensors
+        return view, {uid: RasterCamera(config, view, carriers) for uid, config in configs.items()}
 
     def _rasterize_sensors(self, apply_texture_transforms: bool) -> dict[str, dict[str, torch.Tensor]]:
         """Return what the cameras see in all worlds."""
