@@ -6,6 +6,7 @@ from mani_skill.utils import sapien_utils
 from mani_skill.utils.structs.pose import Pose
 from mani_skill.utils.wrappers import FlattenRGBDObservationWrapper
 
+from maniskill_grpd.graphs import point_schema, points_to_graph
 from maniskill_grpd.rendering import Label
 from maniskill_grpd.tasks.pictures import render_device
 
@@ -201,3 +202,20 @@ def test_impossible_cameras_are_refused(make_env, configs, message):
 def test_images_that_do_not_fit_into_memory_are_refused(make_env):
     with pytest.raises(ValueError, match="100 worlds x 1 cameras of 4000x4000 pixels would take 11.9 GiB"):
         make_env(100, obs_mode="depth", sensor_configs={"width": 4000, "height": 4000})
+
+
+def test_a_point_cloud_becomes_a_graph_of_the_rope(make_env):
+    base = make_env(2, obs_mode="pointcloud").unwrapped
+    cloud, solver = base.get_obs()["pointcloud"], base.solver
+    graph = points_to_graph(
+        cloud["xyzw"][..., :3],
+        cloud["segmentation"][..., 0] == Label.ROPE,
+        solver.gripper_positions,
+        solver.closed,
+        solver.gravity,
+        schema=point_schema(length_scale=0.8, edge_length=0.04),
+        num_nodes=20,
+    )
+    nearest = torch.cdist(solver.positions, graph["object"]["position"]).min(dim=2).values
+    assert nearest.max() < 0.06
+    assert graph["object"]["mask"].all()
