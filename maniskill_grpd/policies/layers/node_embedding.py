@@ -85,5 +85,5 @@ class NodeEmbedding(nn.Module):
 
 def _dots(vectors: torch.Tensor) -> torch.Tensor:
     """Dot products of all pairs of distinct vectors, (V, 3, ...) -> (V (V - 1) / 2, ...)."""
-    pairs = combinations(vectors.unbind(0), 2)
-    return torch.stack([(first * second).sum(0) for first, second in pairs])
+    products = [(first * second).sum(0) for first, second in combinations(vectors.unbind(0), 2)]
+    return torch.stack(products) if products else vectors.new_zeros(0, *vectors.shape[2:])
