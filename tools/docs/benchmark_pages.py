@@ -33,6 +33,39 @@ def env_page(rows: Sequence[Row]) -> str:
     return _page("Environment throughput", "python benchmarks/env.py --json docs/benchmarks/env.json", rows, table, note)
 
 
+def cameras_page(rows: Sequence[Row]) -> str:
+    """Return the page of `benchmarks/cameras.py`."""
+    about = (
+        "Images of depth per second of one core's processor time; wrinkled square cloths that fill a quarter of the image. Both\n"
+        "draw the same meshes and take turns; the ray cast updates its hierarchy for each image, as cloth moves. `ratio` is the\n"
+        "median of the ratios within a turn; the last columns say how well both agree."
+    )
+    images = _table(
+        ["renderer", "nodes", "pixels", "worlds", "images/s", "ratio", "within 0.1 mm", "pixels of one alone"],
+        [
+            [
+                row["renderer"],
+                f"{row['nodes']:,}",
+                f"{row['size']}x{row['size']}",
+                f"{row['num_worlds']:,}",
+                f"{row['images_per_s']:,.0f}",
+                _cell(row, "ratio", ".0f"),
+                _cell(row, "share_within_0.1_mm", ".3%"),
+                _cell(row, "share_of_mask_that_differs", ".4%"),
+            ]
+            for row in rows
+            if "renderer" in row
+        ],
+    )
+    steps = _table(
+        ["environment", "observation", "worlds", "env-steps/s"],
+        [[row["env"], row["obs_mode"], row["num_worlds"], f"{row['env_steps_per_s']:,.0f}"] for row in rows if "env" in row],
+        text_columns=(0, 1),
+    )
+    command = "python benchmarks/cameras.py --json docs/benchmarks/cameras.json"
+    return _page("Cameras", command, rows, about, images, "Environment steps, images of 64x64 pixels:", steps)
+
+
 def train_page(rows: Sequence[Row]) -> str:
     """Return the page of `benchmarks/train.py`."""
     shares = ("share_simulation", "share_policy", "share_update")

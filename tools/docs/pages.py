@@ -18,6 +18,7 @@ def pages() -> dict[str, str]:
     checks, strains = _checks(), _rows("physics/strain.json")
     return {
         "tasks.md": tasks_page(_rows("benchmarks/tasks.json"), _rows("benchmarks/goal_shapes.json")),
+        "benchmarks/cameras.md": benchmark_pages.cameras_page(_rows("benchmarks/cameras.json")),
         "benchmarks/env.md": benchmark_pages.env_page(_rows("benchmarks/env.json")),
         "benchmarks/physics.md": benchmark_pages.physics_page(_rows("benchmarks/physics.json")),
         "benchmarks/policy.md": benchmark_pages.policy_page(_rows("benchmarks/policy.json")),
