@@ -149,6 +149,8 @@ FIELDS = {
     ),
     "collider_sizes": Field(dtype=wp.vec3, shape=COLLIDERS, moves="scalar", is_positive=True, struct="colliders"),
     "collider_active": Field(dtype=wp.bool, shape=COLLIDERS, moves="scalar", start=1, low=0, high=1, struct="colliders"),
+    "crossed_owners": Field(dtype=wp.int32, shape=NODES, moves="scalar", start=-1, low=-1),
+    "crossed_elements": Field(dtype=wp.int32, shape=NODES, moves="scalar", start=-1, low=-1),
     "gripper_forces": Field(dtype=wp.vec3, shape=GRIPPERS, moves="vector", is_saved=False),
     "slips": Field(dtype=wp.int32, shape=GRIPPERS, moves="scalar", is_saved=False, struct=None),
     "dropped_contacts": Field(dtype=wp.int32, moves="scalar", is_saved=False, struct=None),

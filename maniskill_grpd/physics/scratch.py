@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import torch
 import warp as wp
 
-from maniskill_grpd.physics.kernels.contact_search import BLOCK
-from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Touch, Worlds
+from maniskill_grpd.physics.kernels.contact_search import BLOCK, SLOTS
+from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Worlds
 from maniskill_grpd.physics.kernels.lanes import WIDTH, Numbers, Vectors
-from maniskill_grpd.physics.kernels.self_contact import MAX_CONTACTS_PER_NODE, SLOTS
 from maniskill_grpd.physics.model import Model
+
+# Contacts of an object with itself for which there is room in a world, for each of its nodes.
+CONTACTS_PER_NODE = 40
 
 
 class WorldGroups:
@@ -31,6 +33,7 @@ class WorldGroups:
         num_colliders: int,
         *,
         has_tethers: bool,
+        touches_itself: bool,
         in_lanes: bool,
         device: torch.device,
     ) -> None:
@@ -50,6 +53,8 @@ class WorldGroups:
         nodes, edges = max(model.num_nodes for model in models), max(len(model.edges) for model in models)
         self._allocate_columns(nodes, edges, num_grippers, nodes if has_tethers else 1)
         self._allocate_colliders(num_colliders, nodes)
+        elements = max(len(model.faces) + len(model.surface_edges) for model in models) if touches_itself else 1
+        self._allocate_elements(elements)
 
     def assign(self, variants: torch.Tensor) -> None:
         """Put worlds into groups of one variant each, without looking at single worlds from Python; `variants` (B,) int32."""
@@ -109,6 +114,15 @@ class WorldGroups:
         self.data.collider_highs = self._numbers(self.count, 3 * max(count, 1))
         self.data.nearness = self._numbers(self.count, nodes if count else 1)
 
+    def _allocate_elements(self, count: int) -> None:
+        blocks = count // BLOCK + 2  # triangles and edges fill blocks of their own
+        for name in ("element_centers", "element_velocities"):
+            setattr(self.data, name, self._vectors(self.count, count))
+        for name in ("block_centers", "block_velocities"):
+            setattr(self.data, name, self._vectors(self.count, blocks))
+        self.data.element_radii = self._numbers(self.count, count)
+        self.data.block_radii, self.data.block_spreads = (self._numbers(self.count, blocks) for _ in range(2))
+
     # PyTorch aligns memory with cache lines, and so with vector registers.
     def _numbers(self, *shape: int) -> wp.array:
         lanes, dtype = ((WIDTH,), Numbers) if self.in_lanes else ((), wp.float32)
@@ -125,37 +139,25 @@ def allocate_ways(worlds: Worlds, num_worlds: int, num_grippers: int, device: to
         setattr(worlds, f"way_{name}", wp.zeros((num_worlds, num_grippers**2), dtype=dtype, device=str(device)))
 
 
-def allocate_touch(num_worlds: int, num_nodes: int, used: bool, device: torch.device) -> Touch:
-    """Allocate scratch of single worlds for contact."""
-    touch, shape = Touch(), (num_worlds, num_nodes if used else 1)
-    for name in ("positions", "previous", "velocities", "reactions"):
-        setattr(touch, name, wp.zeros(shape, dtype=wp.vec3, device=str(device)))
-    touch.weights = wp.zeros(shape, dtype=wp.float32, device=str(device))
-    return touch
-
-
 def allocate_self_contacts(models: Sequence[Model], num_worlds: int, used: bool, device: torch.device) -> SelfContacts:
-    """Allocate the slots for contacts of objects with themselves."""
+    """Allocate the list of contacts of objects with themselves; `used` is False for a solver without any."""
     nodes = max(model.num_nodes for model in models) if used else 1
-    elements = max(max(len(model.faces), len(model.edges)) for model in models) if used else 1
-    slots = nodes * SLOTS
-    blocks = elements // BLOCK + 1
+    owners = nodes + max(len(model.surface_edges) for model in models) if used else 1
+    room = CONTACTS_PER_NODE * nodes + 2 * WIDTH
     shapes = {
-        "nodes": ((slots,), wp.vec4i),
-        "sides": ((slots,), wp.float32),
-        "gaps": ((slots,), wp.float32),
-        "weights": ((slots,), wp.vec4),
-        "impulses": ((slots,), wp.vec3),
-        "counts": ((nodes,), wp.int32),
-        "of_node": ((nodes, MAX_CONTACTS_PER_NODE), wp.int32),
-        "num_of_node": ((nodes,), wp.int32),
-        "num_active": ((nodes,), wp.int32),
-        "element_spheres": ((elements,), wp.vec4),
-        "block_spheres": ((blocks,), wp.vec4),
-        "block_motions": ((blocks,), wp.vec4),
-        "cluster_spheres": ((blocks // BLOCK + 1,), wp.vec4),
+        "found": ((owners * SLOTS,), wp.int32),
+        "found_gaps": ((owners * SLOTS,), wp.float32),
+        **dict.fromkeys(("found_counts", "starts", "ends", "old_starts", "old_ends"), ((owners + 1,), wp.int32)),
+        "num_contacts": ((), wp.int32),
+        "nodes": ((room,), wp.vec4i),
+        **dict.fromkeys(("owners", "elements", "old_elements"), ((room,), wp.int32)),
+        **dict.fromkeys(("thicknesses", "distances"), ((room,), wp.float32)),
+        **dict.fromkeys(("normals", "old_normals", "impulses"), ((room,), wp.vec3)),
+        "entries": ((4 * room,), wp.int32),
+        **dict.fromkeys(("entry_starts", "num_of_node", "num_active"), ((nodes + 1,), wp.int32)),
     }
     contacts = SelfContacts()
     for name, (shape, dtype) in shapes.items():
         setattr(contacts, name, wp.zeros((num_worlds, *shape), dtype=dtype, device=str(device)))
+    contacts.weights = wp.zeros((4, num_worlds, room), dtype=wp.float32, device=str(device))
     return contacts

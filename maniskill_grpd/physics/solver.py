@@ -15,7 +15,7 @@ from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH
 from maniskill_grpd.physics.model import Model
-from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_touch, allocate_ways
+from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_ways
 from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects, upload_timings
 
 
@@ -56,13 +56,15 @@ class Solver(Grasps):
         collider_active: (B, K) bool; inactive ones are not there.
         slips: How often since the reset of its world a gripper lost what it held, (B, A) int32, because that pulled harder than
             `grip_strength`. The gripper stays closed, and holds nothing until it has been opened and closes again.
+        crossed_owners, crossed_elements: Contacts with itself whose elements have passed through each other, -1 for none,
+            (B, N) int32: number of a node, or N plus that of an edge, and of a triangle or edge, in the order of the kernel.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
 
         dropped_contacts: How often since its reset a world had more contacts with itself than there is room for, (B,) int32. The
             nearest are kept; what is dropped may pass through.
 
-    Limitations: colliders stand still during a step; contact of an object with itself is between nodes and triangles (cloth) or
-    segments (rope), not between two edges of a cloth; friction and damping dissipate momentum; first order in the substep, with
+    Limitations: colliders stand still during a step; a node that touches its own object moves by at most half a
+    thickness per substep; friction and damping dissipate momentum; first order in the substep, with
     the numerical damping of implicit integration.
     """
 
@@ -137,6 +139,7 @@ class Solver(Grasps):
                 num_grippers,
                 len(self.colliders),
                 has_tethers=self._features.tethers,
+                touches_itself=self._features.self_contact,
                 in_lanes=self._advances_lanes(),
                 device=self.device,
             )
@@ -192,6 +195,8 @@ class Solver(Grasps):
         self.frozen[world_idx] = False
         self.dropped_contacts[world_idx] = 0
         self.slips[world_idx] = 0
+        self.crossed_owners[world_idx] = -1
+        self.crossed_elements[world_idx] = -1
         self.holder[world_idx] = -1
         self.hold_offsets[world_idx] = 0.0
         self.leashes[world_idx] = NO_LEASH
@@ -276,12 +281,11 @@ class Solver(Grasps):
                 setattr(structs[field.struct], name.removeprefix("collider_"), wp.from_torch(tensor, dtype=field.dtype))
         if self.colliders and self._features.ropes:
             allocate_ways(worlds, self.num_worlds, self.num_grippers, self.device)
-        touch = allocate_touch(self.num_worlds, self.num_nodes, self._features.self_contact, self.device)
         contacts = allocate_self_contacts(self.models, self.num_worlds, self._features.self_contact, self.device)
         timings = upload_timings(self.substeps, self.control_dt, device)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
-        self._uploaded = [objects, colliders, meshes, worlds, touch, contacts]  # alive as long as launches refer to it
-        self._inputs = [objects, colliders, worlds, self._groups.data, touch, contacts, timings]
+        self._uploaded = [objects, colliders, meshes, worlds, contacts]  # alive as long as launches refer to it
+        self._inputs = [objects, colliders, worlds, self._groups.data, contacts, timings]
         num_threads = min(num_threads, self._groups.count)
         return [self._record_command(part, num_threads, 0, 1) for part in range(num_threads)]
 

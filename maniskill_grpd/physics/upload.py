@@ -13,10 +13,8 @@ from maniskill_grpd.physics.kernels.data import Colliders, Features, Objects, Ti
 from maniskill_grpd.physics.mesh.coloring import color_constraints
 from maniskill_grpd.physics.model import Model
 
-# Parts of an object that are closer through the material than this many radii plus edges do not collide with each other.
-EXCLUSION_RADII, EXCLUSION_EDGES = 4.0, 1.1
 # Searches for contacts of an object with itself in one control step.
-SEARCHES_PER_STEP = 4
+SEARCHES_PER_STEP = 10
 
 
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
@@ -94,14 +92,8 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     elements = [_elements(model) for model in models]
     objects.element_starts = array(_starts([len(nodes) for nodes in elements]), int)
     objects.elements = array(np.concatenate(elements), wp.vec3i)
-    objects.owner_counts = array([model.num_nodes - model.is_rope for model in models], int)
+    objects.face_counts = array([len(model.faces) for model in models], int)
     objects.is_rope = array([model.is_rope for model in models], wp.bool)
-    # Segments of a rope that share a node always touch, however long they are.
-    lengths = [float(model.rest_lengths.max() if model.is_rope else model.rest_lengths.mean()) for model in models]
-    exclusions = [
-        EXCLUSION_RADII * model.radius + EXCLUSION_EDGES * length for model, length in zip(models, lengths, strict=True)
-    ]
-    objects.exclusions = array(exclusions, float)
     objects.geodesics = geodesics
     return objects
 
@@ -189,14 +181,16 @@ def _by_color(variants: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, n
 
 
 def _elements(model: Model) -> np.ndarray:
-    """Return the triangles of a cloth, or the segments of a rope with their second node twice, (F, 3).
+    """Return the triangles of a cloth, then its edges, or those of a rope, with their second node twice, (F + E, 3).
 
-    Triangles are sorted so that those that follow each other lie together, in blocks rather than in rows.
+    Each are sorted so that those that follow each other lie together, in blocks rather than in rows.
     """
+    edges = model.surface_edges[:, [0, 1, 1]]
     if model.is_rope:
-        return model.edges[:, [0, 1, 1]]
-    centroids = model.rest_positions[model.faces].mean(axis=1)
-    return model.faces[np.argsort(_z_order(centroids), kind="stable")]
+        return edges
+    middles = [model.rest_positions[nodes].mean(axis=1) for nodes in (model.faces, model.surface_edges)]
+    order = [np.argsort(_z_order(points), kind="stable") for points in middles]
+    return np.concatenate([model.faces[order[0]], edges[order[1]]])
 
 
 def _z_order(points: np.ndarray) -> np.ndarray:

@@ -93,11 +93,10 @@ class Objects:
     mesh_edge_ranges: wp.array(dtype=int)
     mesh_edge_colors: wp.array(dtype=int)
     mesh_edges: wp.array(dtype=wp.vec2i)
-    # Triangles of cloth and segments of ropes, for contact of an object with itself.
+    # Triangles, then edges (with their second node twice), for contact of an object with itself.
     element_starts: wp.array(dtype=int)
     elements: wp.array(dtype=wp.vec3i)
-    owner_counts: wp.array(dtype=int)
-    exclusions: wp.array(dtype=float)
+    face_counts: wp.array(dtype=int)
     is_rope: wp.array(dtype=wp.bool)
 
 
@@ -137,21 +136,30 @@ class PlacedCollider:
 
 @wp.struct
 class SelfContacts:
-    """Candidates of contact of an object with itself, in every world."""
+    """Contacts of an object with itself, in every world: what owners found, the list of contacts, entries for every node."""
 
+    found: wp.array2d(dtype=int)  # elements, in the slots of each owner
+    found_gaps: wp.array2d(dtype=float)
+    found_counts: wp.array2d(dtype=int)
+    starts: wp.array2d(dtype=int)  # first contact of each owner, and behind its last
+    ends: wp.array2d(dtype=int)
+    num_contacts: wp.array(dtype=int)
     nodes: wp.array2d(dtype=wp.vec4i)
-    sides: wp.array2d(dtype=float)
-    gaps: wp.array2d(dtype=float)
-    weights: wp.array2d(dtype=wp.vec4)
+    owners: wp.array2d(dtype=int)
+    elements: wp.array2d(dtype=int)
+    thicknesses: wp.array2d(dtype=float)
+    normals: wp.array2d(dtype=wp.vec3)
+    distances: wp.array2d(dtype=float)  # along the normals, < 0 for what has crossed
+    weights: wp.array3d(dtype=float)  # of the four nodes
     impulses: wp.array2d(dtype=wp.vec3)
-    counts: wp.array2d(dtype=int)
-    of_node: wp.array3d(dtype=int)
+    old_starts: wp.array2d(dtype=int)
+    old_ends: wp.array2d(dtype=int)
+    old_elements: wp.array2d(dtype=int)
+    old_normals: wp.array2d(dtype=wp.vec3)
+    entry_starts: wp.array2d(dtype=int)
+    entries: wp.array2d(dtype=int)  # 4 * contact + place of the node in it
     num_of_node: wp.array2d(dtype=int)
     num_active: wp.array2d(dtype=int)
-    element_spheres: wp.array2d(dtype=wp.vec4)
-    block_spheres: wp.array2d(dtype=wp.vec4)
-    block_motions: wp.array2d(dtype=wp.vec4)
-    cluster_spheres: wp.array2d(dtype=wp.vec4)
     dropped: wp.array(dtype=int)
 
 
@@ -166,17 +174,6 @@ Worlds = wp.struct(
         way_spans=wp.array2d(dtype=wp.vec2),  # through the rope to the first and from the last of these places
     )
 )
-
-
-@wp.struct
-class Touch:
-    """Scratch of single worlds for what is not computed in lanes: contact with colliders and of objects with themselves."""
-
-    positions: wp.array2d(dtype=wp.vec3)
-    previous: wp.array2d(dtype=wp.vec3)
-    velocities: wp.array2d(dtype=wp.vec3)
-    weights: wp.array2d(dtype=float)
-    reactions: wp.array2d(dtype=wp.vec3)
 
 
 def _groups(number: type, vector: type) -> type:
@@ -219,6 +216,14 @@ def _groups(number: type, vector: type) -> type:
         collider_lows: wp.array2d(dtype=number)
         collider_highs: wp.array2d(dtype=number)
         nearness: wp.array2d(dtype=number)
+        # Spheres about the elements that may touch each other, and about blocks of them, with their velocities.
+        element_centers: wp.array2d(dtype=vector)
+        element_radii: wp.array2d(dtype=number)
+        element_velocities: wp.array2d(dtype=vector)
+        block_centers: wp.array2d(dtype=vector)
+        block_radii: wp.array2d(dtype=number)
+        block_velocities: wp.array2d(dtype=vector)
+        block_spreads: wp.array2d(dtype=number)
         upper: wp.array2d(dtype=number)
         carried: wp.array2d(dtype=number)  # impulses that pull the ends of the edges of a sheet together in every substep
         multipliers: wp.array2d(dtype=number)

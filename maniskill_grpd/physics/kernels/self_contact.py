@@ -1,195 +1,232 @@
-"""Contact of an object with itself, called by the fused kernel.
+"""Contact of an object with itself: the impulses of a substep, called by the fused kernel.
 
-A contact joins four nodes: a node and the triangle of another layer (cloth), or two segments (rope). Candidates are found a few
-times per control step, each owned by one node or segment, which has a fixed number of slots for them. Per substep every candidate
-computes its impulse from the same positions, then every node gathers the impulses of its contacts (Jacobi): no two lanes write to
-one place, and impulses cancel in pairs. The side on which the two are is remembered from the search, so that what passed through
-within a substep is brought back.
+A contact joins four nodes: a node and a triangle, or two edges. Per substep every contact computes its impulse from the same
+positions, then every node gathers the impulses of its contacts (Jacobi): no two threads write to one place, and impulses cancel
+in pairs. Every contact remembers its normal, from the second element to the first, and follows it as they turn about each
+other: what passed through something is where the gap points against the normal, and is brought back.
 """
+
+from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.block import count_up
-from maniskill_grpd.physics.kernels.data import SelfContacts, Touch
+from maniskill_grpd.physics.kernels.block import count_up, synchronize_block
+from maniskill_grpd.physics.kernels.closest_points import closest_weights
+from maniskill_grpd.physics.kernels.contact_lanes import gather, load, store
+from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Worlds
+from maniskill_grpd.physics.kernels.lane_access import pick, put
+from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
+    add,
+    any_positive,
+    choose,
+    cross,
+    div,
+    greater,
+    inner,
+    lesser,
+    mul,
+    root,
+    spread,
+    sub,
+)
 
-# Candidates that one node or segment can own, and contacts that one node can take part in.
-SLOTS = wp.constant(16)
-MAX_CONTACTS_PER_NODE = wp.constant(192)
-
-
-@wp.func
-def closest_on_triangle(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
-    """Return barycentric coordinates of the point of a triangle closest to p (Ericson 2005, section 5.1.5)."""
-    ab = b - a
-    ac = c - a
-    ap = p - a
-    d1 = wp.dot(ab, ap)
-    d2 = wp.dot(ac, ap)
-    if d1 <= 0.0 and d2 <= 0.0:
-        return wp.vec3(1.0, 0.0, 0.0)
-    bp = p - b
-    d3 = wp.dot(ab, bp)
-    d4 = wp.dot(ac, bp)
-    if d3 >= 0.0 and d4 <= d3:
-        return wp.vec3(0.0, 1.0, 0.0)
-    cp = p - c
-    d5 = wp.dot(ab, cp)
-    d6 = wp.dot(ac, cp)
-    if d6 >= 0.0 and d5 <= d6:
-        return wp.vec3(0.0, 0.0, 1.0)
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
-        return wp.vec3(1.0 - v, v, 0.0)
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
-        return wp.vec3(1.0 - w, 0.0, w)
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return wp.vec3(0.0, 1.0 - w, w)
-    total = va + vb + vc
-    return wp.vec3(va / total, vb / total, vc / total)
+# Weights below this belong to the rim of an element, where the gap itself is the normal.
+RIM = wp.constant(1.0e-4)
+# Squared sine of the angle between edges below which they have no normal but the gap.
+FLAT_ANGLE = wp.constant(1.0e-4)
+# Most Jacobi iterations in a substep, and the share of the thickness below which an overlap does not ask for another one.
+ITERATIONS = wp.constant(10)
+TOLERANCE = wp.constant(0.1)
+# Most that a node with contacts moves in a substep before they are resolved, in thicknesses: two that meet do not pass.
+MAX_MOTION = wp.constant(0.5)
+# Contacts act up to this multiple of their thickness: one that has passed through is brought back from there.
+GRASP = wp.constant(1.5)
 
 
 @wp.func
-def closest_on_segments(p: wp.vec3, q: wp.vec3, r: wp.vec3, s: wp.vec3) -> wp.vec2:
-    """Return the fractions along p-q and r-s of their closest points (Ericson 2005, section 5.1.9)."""
-    d1 = q - p
-    d2 = s - r
-    offset = p - r
-    a = wp.max(wp.dot(d1, d1), 1.0e-12)
-    e = wp.max(wp.dot(d2, d2), 1.0e-12)
-    b = wp.dot(d1, d2)
-    c = wp.dot(d1, offset)
-    f = wp.dot(d2, offset)
-    determinant = a * e - b * b
-    along = float(0.5)
-    if determinant > 1.0e-6 * a * e:
-        along = wp.clamp((b * f - c * e) / determinant, 0.0, 1.0)
-    other = (b * along + f) / e
-    if other < 0.0 or other > 1.0:
-        other = wp.clamp(other, 0.0, 1.0)
-        along = wp.clamp((b * other - c) / a, 0.0, 1.0)
-    return wp.vec2(along, other)
+def facing(is_edges: bool, x_0: Any, x_1: Any, x_2: Any, x_3: Any):
+    """Return the direction perpendicular to both elements (of the triangle, or of two edges) and its squared relative length."""
+    first = x_2 - x_1
+    second = x_3 - x_1
+    if is_edges:
+        first = x_1 - x_0
+        second = x_3 - x_2
+    normal = cross(first, second)
+    square = inner(normal, normal)
+    scale = greater(inner(first, first) * inner(second, second), spread(square, 1.0e-24))
+    return normal / root(greater(square, spread(square, 1.0e-24))), square / scale
 
 
 @wp.func
-def barycentric_gap(weight: wp.vec4, nodes: wp.vec4i, world: int, positions: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
-    """Return sum_k weight_k x_k: the vector between the two touching points."""
-    return (
-        positions[world, nodes[0]] * weight[0]
-        + positions[world, nodes[1]] * weight[1]
-        + positions[world, nodes[2]] * weight[2]
-        + positions[world, nodes[3]] * weight[3]
-    )
-
-
-@wp.func
-def closest_weights(world: int, nodes: wp.vec4i, is_rope: bool, positions: wp.array2d(dtype=wp.vec3)) -> wp.vec4:
-    """Return weights of the four nodes at which `barycentric_gap` is the shortest vector between the two."""
-    x_0 = positions[world, nodes[0]]
-    x_1 = positions[world, nodes[1]]
-    x_2 = positions[world, nodes[2]]
-    x_3 = positions[world, nodes[3]]
-    if is_rope:
-        fraction = closest_on_segments(x_0, x_1, x_2, x_3)
-        return wp.vec4(1.0 - fraction[0], fraction[0], fraction[1] - 1.0, -fraction[1])
-    at = closest_on_triangle(x_0, x_1, x_2, x_3)
-    return wp.vec4(1.0, -at[0], -at[1], -at[2])
-
-
-@wp.func
-def facing(world: int, nodes: wp.vec4i, is_rope: bool, positions: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
-    """Return the direction perpendicular to both (of the triangle, or of two crossing segments), not normalised."""
-    first = positions[world, nodes[2]] - positions[world, nodes[1]]
-    second = positions[world, nodes[3]] - positions[world, nodes[1]]
-    if is_rope:
-        first = positions[world, nodes[1]] - positions[world, nodes[0]]
-        second = positions[world, nodes[3]] - positions[world, nodes[2]]
-    return wp.cross(first, second)
-
-
-@wp.func
-def is_apart(world: int, nodes: wp.vec4i, is_rope: bool, thickness: float, positions: wp.array2d(dtype=wp.vec3)) -> bool:
-    """Return whether two elements cannot touch because they lie apart along an axis."""
-    x_0 = positions[world, nodes[0]]
-    x_1 = positions[world, nodes[1]]
-    x_2 = positions[world, nodes[2]]
-    x_3 = positions[world, nodes[3]]
-    low = x_0
-    high = x_0
-    other_low = wp.min(x_2, x_3)
-    other_high = wp.max(x_2, x_3)
-    if is_rope:
-        low = wp.min(x_0, x_1)
-        high = wp.max(x_0, x_1)
-    else:
-        other_low = wp.min(other_low, x_1)
-        other_high = wp.max(other_high, x_1)
-    between = wp.max(wp.max(other_low - high), wp.max(low - other_high))
-    return between > thickness
-
-
-@wp.func
-def compute_contact_impulse(
-    world: int, slot: int, is_rope: bool, thickness: float, friction: float, touch: Touch, contacts: SelfContacts
+def compute_impulses(
+    world: int,
+    lane: int,
+    first: int,
+    is_edges: bool,
+    acts_at_rim: bool,
+    friction: float,
+    group: int,
+    groups: Any,
+    contacts: SelfContacts,
 ):
-    """Compute the impulse of C = side * n . gap - thickness >= 0 and of the friction against the motion along the surface.
+    """Compute the impulses of C = normal . gap - thickness >= 0 and of friction, of as many contacts as there are lanes.
 
-    Near the rim of a triangle, or the end of a segment, the gap itself is the normal; in the middle the remembered side tells on
-    which side of the surface the point belongs.
+    In the middle of both elements the normal is perpendicular to them, on the remembered side; at a rim it is the gap, as long as
+    that has not turned by more than 90 degrees.
     """
-    nodes = contacts.nodes[world, slot]
-    contacts.impulses[world, slot] = wp.vec3(0.0, 0.0, 0.0)
-    if is_apart(world, nodes, is_rope, thickness, touch.positions):
-        return
-    weight = closest_weights(world, nodes, is_rope, touch.positions)
-    gap = barycentric_gap(weight, nodes, world, touch.positions)
-    length = wp.length(gap)
-    contacts.weights[world, slot] = weight
-    normal = facing(world, nodes, is_rope, touch.positions)
-    area = wp.length(normal)
-    is_inside = weight[1] < -1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
-    if is_rope:
-        is_inside = weight[0] > 1.0e-4 and weight[1] > 1.0e-4 and weight[2] < -1.0e-4 and weight[3] < -1.0e-4
-    if is_inside and area > 1.0e-12:
-        normal = normal * (contacts.sides[world, slot] / area)
-    elif length > 1.0e-9:
-        normal = gap / length
-    else:
-        return
-    depth = thickness - wp.dot(normal, gap)
-    inverse_mass = float(0.0)
-    for k in range(4):
-        inverse_mass += touch.weights[world, nodes[k]] * weight[k] * weight[k]
-    if depth <= 0.0 or inverse_mass <= 0.0:
-        return
-    moved = gap - barycentric_gap(weight, nodes, world, touch.previous)
-    tangential = moved - normal * wp.dot(moved, normal)
-    slip = wp.length(tangential)
-    cancelled = float(0.0)
-    if slip > 0.0:
-        cancelled = wp.min(1.0, friction * depth / slip)
-    contacts.impulses[world, slot] = (normal * depth - tangential * cancelled) / inverse_mass
-    for k in range(4):
-        count_up(contacts.num_active, world, nodes[k])
+    x_0 = gather(groups.positions, group, lane, contacts.nodes, world, first, 0)
+    x_1 = gather(groups.positions, group, lane, contacts.nodes, world, first, 1)
+    x_2 = gather(groups.positions, group, lane, contacts.nodes, world, first, 2)
+    x_3 = gather(groups.positions, group, lane, contacts.nodes, world, first, 3)
+    weight_0, weight_1, weight_2, weight_3 = closest_weights(is_edges, x_0, x_1, x_2, x_3)
+    gap = x_0 * weight_0 + x_1 * weight_1 + x_2 * weight_2 + x_3 * weight_3
+    length = root(inner(gap, gap))
+    remembered = load(gap, contacts.normals, world, first)
+    outward = choose(length - spread(length, 1.0e-9), gap / greater(length, spread(length, 1.0e-9)), remembered)
+    perpendicular, steepness = facing(is_edges, x_0, x_1, x_2, x_3)
+    inside = lesser(lesser(weight_1 * -1.0, weight_2 * -1.0), weight_3 * -1.0)
+    if is_edges:
+        inside = lesser(lesser(weight_0, weight_1), lesser(weight_2 * -1.0, weight_3 * -1.0))
+    inside = lesser(inside - spread(inside, RIM), steepness - spread(inside, FLAT_ANGLE))
+    side = inner(perpendicular, remembered)
+    normal = choose(side, perpendicular, perpendicular * -1.0)
+    at_rim = choose(inner(outward, remembered), outward, remembered)
+    normal = choose(inside, normal, at_rim)
+    distance = inner(normal, gap)
+    thickness = load(length, contacts.thicknesses, world, first)
+    store(contacts.normals, world, first, normal)
+    store(contacts.distances, world, first, distance)
+    depth = choose(thickness * GRASP - length, thickness - distance, spread(length, 0.0))
+    if is_edges and not acts_at_rim:
+        depth = choose(inside, depth, spread(length, 0.0))
+    nothing = spread(gap, 0.0)
+    impulse = nothing
+    if any_positive(depth):
+        w_0 = gather(groups.weights, group, lane, contacts.nodes, world, first, 0)
+        w_1 = gather(groups.weights, group, lane, contacts.nodes, world, first, 1)
+        w_2 = gather(groups.weights, group, lane, contacts.nodes, world, first, 2)
+        w_3 = gather(groups.weights, group, lane, contacts.nodes, world, first, 3)
+        inverse_mass = w_0 * (weight_0 * weight_0) + w_1 * (weight_1 * weight_1)
+        inverse_mass = inverse_mass + w_2 * (weight_2 * weight_2) + w_3 * (weight_3 * weight_3)
+        start = gather(groups.previous, group, lane, contacts.nodes, world, first, 0) * weight_0
+        start = start + gather(groups.previous, group, lane, contacts.nodes, world, first, 1) * weight_1
+        start = start + gather(groups.previous, group, lane, contacts.nodes, world, first, 2) * weight_2
+        start = start + gather(groups.previous, group, lane, contacts.nodes, world, first, 3) * weight_3
+        moved = gap - start
+        tangential = moved - normal * inner(moved, normal)
+        slip = greater(root(inner(tangential, tangential)), spread(length, 1.0e-12))
+        cancelled = lesser(spread(length, 1.0), depth * friction / slip)
+        impulse = (normal * depth - tangential * cancelled) / greater(inverse_mass, spread(length, 1.0e-12))
+        impulse = choose(lesser(depth, inverse_mass), impulse, nothing)
+        store(contacts.weights[0], world, first, weight_0)
+        store(contacts.weights[1], world, first, weight_1)
+        store(contacts.weights[2], world, first, weight_2)
+        store(contacts.weights[3], world, first, weight_3)
+    store(contacts.impulses, world, first, impulse)
 
 
 @wp.func
-def gather_contact_impulses(world: int, node: int, contacts: SelfContacts) -> wp.vec3:
-    """Return the sum of a node's contact impulses, each shared by the busiest of its four nodes so that the sum converges."""
-    total = wp.vec3(0.0, 0.0, 0.0)
-    for entry in range(contacts.num_of_node[world, node]):
-        code = contacts.of_node[world, node, entry]
-        slot = code // 4
-        impulse = contacts.impulses[world, slot]
-        if wp.dot(impulse, impulse) > 0.0:
-            nodes = contacts.nodes[world, slot]
-            weight = contacts.weights[world, slot]
-            busiest = int(1)
-            for k in range(4):
-                busiest = wp.max(busiest, contacts.num_active[world, nodes[k]])
-            total += impulse * (weight[code % 4] / float(busiest))
-    return total
+def is_active(world: int, contact: int, contacts: SelfContacts) -> bool:
+    """Return whether a contact pushes."""
+    return wp.length_sq(contacts.impulses[world, contact]) > 0.0
+
+
+@wp.func
+def count_active(world: int, contact: int, num_nodes: int, contacts: SelfContacts):
+    """Tell the four nodes of a contact that it pushes them; behind the nodes, count overlaps that ask for another iteration."""
+    if is_active(world, contact, contacts):
+        nodes = contacts.nodes[world, contact]
+        for k in range(4):
+            count_up(contacts.num_active, world, nodes[k])
+        if contacts.distances[world, contact] < (1.0 - TOLERANCE) * contacts.thicknesses[world, contact]:
+            count_up(contacts.num_active, world, num_nodes)
+
+
+@wp.func
+def share_impulse(world: int, contact: int, contacts: SelfContacts):
+    """Divide an impulse by the number of contacts of the busiest of its nodes, so that the sum over all contacts converges."""
+    if is_active(world, contact, contacts):
+        nodes = contacts.nodes[world, contact]
+        busiest = int(1)
+        for k in range(4):
+            busiest = wp.max(busiest, contacts.num_active[world, nodes[k]])
+        contacts.impulses[world, contact] = contacts.impulses[world, contact] / float(busiest)
+
+
+@wp.func
+def push_node_apart(world: int, lane: int, group: int, node: int, groups: Any, contacts: SelfContacts):
+    """Apply the impulses of all contacts of a node; what it cannot follow pulls on its gripper."""
+    impulse = wp.vec3(0.0, 0.0, 0.0)
+    for index in range(contacts.entry_starts[world, node], contacts.entry_starts[world, node + 1]):
+        entry = contacts.entries[world, index]
+        contact = entry // 4
+        if is_active(world, contact, contacts):
+            impulse += contacts.impulses[world, contact] * contacts.weights[entry % 4, world, contact]
+    weight = pick(groups.weights, group, node, lane)
+    if weight > 0.0:
+        put(groups.positions, group, node, lane, pick(groups.positions, group, node, lane) + impulse * weight)
+    else:
+        put(groups.reactions, group, node, lane, pick(groups.reactions, group, node, lane) + impulse)
+
+
+@wp.func
+def separate_world(thread: Thread, lane: int, friction: float, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Keep the layers of the object of one world apart, by one Jacobi iteration."""
+    group = thread.group
+    world = groups.members[group, lane]
+    num_nodes = objects.node_counts[thread.variant]
+    width = groups.members.shape[1]
+    is_rope = objects.is_rope[thread.variant]
+    num_at_nodes = contacts.starts[world, num_nodes]  # whole registers, see `lay_out_contacts`
+    num_contacts = contacts.num_contacts[world]
+    for node in range(thread.first, num_nodes + 1, thread.stride):
+        contacts.num_active[world, node] = 0
+    for first in range(thread.first * width, num_at_nodes, thread.stride * width):
+        compute_impulses(world, lane, first, False, True, friction, group, groups, contacts)
+    for first in range(num_at_nodes + thread.first * width, num_contacts, thread.stride * width):
+        compute_impulses(world, lane, first, True, is_rope, friction, group, groups, contacts)
+    synchronize_block()
+    for contact in range(thread.first, num_contacts, thread.stride):
+        count_active(world, contact, num_nodes, contacts)
+    synchronize_block()
+    for contact in range(thread.first, num_contacts, thread.stride):
+        share_impulse(world, contact, contacts)
+    synchronize_block()
+    for node in range(thread.first, num_nodes, thread.stride):
+        if contacts.num_active[world, node] > 0:
+            push_node_apart(world, lane, group, node, groups, contacts)
+    synchronize_block()
+
+
+@wp.func
+def limit_motion(world: int, lane: int, group: int, node: int, longest: float, groups: Any, contacts: SelfContacts):
+    """Shorten the motion of a node in this substep if it has contacts, so that it cannot pass through what it may touch."""
+    if (
+        contacts.entry_starts[world, node + 1] > contacts.entry_starts[world, node]
+        and pick(groups.weights, group, node, lane) > 0.0
+    ):
+        start = pick(groups.previous, group, node, lane)
+        motion = pick(groups.positions, group, node, lane) - start
+        length = wp.length(motion)
+        if length > longest:
+            put(groups.positions, group, node, lane, start + motion * (longest / length))
+
+
+@wp.func
+def project_self_contacts(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
+    """Keep the layers of the objects of all worlds of a group apart."""
+    group = thread.group
+    num_nodes = objects.node_counts[thread.variant]
+    longest = MAX_MOTION * 2.0 * objects.radii[thread.variant]
+    for lane in range(groups.counts[group]):
+        world = groups.members[group, lane]
+        if not worlds.frozen[world] and contacts.num_contacts[world] > 0:
+            for node in range(thread.first, num_nodes, thread.stride):
+                limit_motion(world, lane, group, node, longest, groups, contacts)
+            synchronize_block()
+            for _iteration in range(ITERATIONS):
+                separate_world(thread, lane, worlds.friction[world], objects, groups, contacts)
+                is_apart = contacts.num_active[world, num_nodes] == 0
+                synchronize_block()
+                if is_apart:
+                    break

@@ -13,14 +13,7 @@ import warp as wp
 from maniskill_grpd.physics.kernels.bending import project_bends, project_folds, project_hinges
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import place_collider_bounds, project_colliders
-from maniskill_grpd.physics.kernels.contact_phases import (
-    add_reactions,
-    find_self_contacts,
-    prepare_touch,
-    project_self_contacts,
-    put_into_lanes,
-    take_out_of_lanes,
-)
+from maniskill_grpd.physics.kernels.contact_list import find_self_contacts, store_crossed
 from maniskill_grpd.physics.kernels.data import (
     Colliders,
     Features,
@@ -30,12 +23,12 @@ from maniskill_grpd.physics.kernels.data import (
     SingleGroups,
     Thread,
     Timing,
-    Touch,
     Worlds,
 )
 from maniskill_grpd.physics.kernels.grippers import find_ways, limit_gripper_targets, stop_grippers
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
 from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
+from maniskill_grpd.physics.kernels.self_contact import project_self_contacts
 from maniskill_grpd.physics.kernels.stretch import load_tensions, project_sheet_line, pull_sheet_line, store_tensions
 from maniskill_grpd.physics.kernels.tethers import load_tethers, project_tethers, sum_tethers
 
@@ -51,9 +44,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
     group_type = LaneGroups if in_lanes else SingleGroups
 
     @wp.func
-    def load_group(
-        thread: Thread, timing: Timing, objects: Objects, colliders: Colliders, worlds: Worlds, groups: group_type, touch: Touch
-    ):
+    def load_group(thread: Thread, timing: Timing, objects: Objects, colliders: Colliders, worlds: Worlds, groups: group_type):
         """Limit the targets of the grippers and fetch the state of all worlds of a group."""
         for lane in range(thread.first, groups.counts[thread.group], thread.stride):
             world = groups.members[thread.group, lane]
@@ -75,8 +66,6 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             load_node(thread.group, node, worlds, groups)
             if wp.static(features.tethers):
                 load_tethers(thread, node, objects, worlds, groups)
-            if wp.static(features.self_contact):
-                prepare_touch(thread.group, node, groups, touch)
         synchronize_block()
 
     @wp.func
@@ -111,30 +100,19 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
 
     @wp.func
     def project_contacts(
-        thread: Thread,
-        objects: Objects,
-        colliders: Colliders,
-        worlds: Worlds,
-        groups: group_type,
-        touch: Touch,
-        contacts: SelfContacts,
+        thread: Thread, objects: Objects, colliders: Colliders, worlds: Worlds, groups: group_type, contacts: SelfContacts
     ):
-        """Resolve contact of all worlds with themselves, for which they are taken out of their lanes, and with colliders."""
+        """Resolve contact of all worlds with themselves and with colliders."""
         if wp.static(features.self_contact):
-            take_out_of_lanes(thread, objects.node_counts[thread.variant], groups, touch)
-            for lane in range(groups.counts[thread.group]):
-                world = groups.members[thread.group, lane]
-                if not worlds.frozen[world]:
-                    project_self_contacts(thread, world, worlds.friction[world], objects, touch, contacts)
-            put_into_lanes(thread, objects.node_counts[thread.variant], groups, touch)
+            project_self_contacts(thread, objects, worlds, groups, contacts)
         if wp.static(features.colliders):
             project_colliders(thread, objects, colliders, worlds, groups)
 
     @wp.func
-    def store_group(thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: group_type, touch: Touch):
+    def store_group(thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: group_type, contacts: SelfContacts):
         """Write the state of all worlds of a group and the forces on their grippers."""
         if wp.static(features.self_contact):
-            add_reactions(thread, objects.node_counts[thread.variant], groups, touch)
+            store_crossed(thread, worlds, groups, contacts)
         if wp.static(features.tethers):
             sum_tethers(thread, objects, groups)
         for lane in range(groups.counts[thread.group]):
@@ -149,7 +127,6 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         colliders: Colliders,
         worlds: Worlds,
         groups: group_type,
-        touch: Touch,
         contacts: SelfContacts,
         timings: wp.array(dtype=Timing),
         first_group: int,
@@ -172,22 +149,22 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         thread.stride = wp.block_dim() * thread_stride
         timing = timings[thread.variant]
         num_nodes = objects.node_counts[thread.variant]
-        load_group(thread, timing, objects, colliders, worlds, groups, touch)
+        load_group(thread, timing, objects, colliders, worlds, groups)
         for substep in range(timing.num_substeps):
             if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
                 if substep % timing.search_interval == 0:
-                    find_self_contacts(thread, timing, objects, worlds, groups, touch, contacts)
+                    find_self_contacts(thread, substep == 0, timing, objects, worlds, groups, contacts)
             progress = float(substep + 1) / float(timing.num_substeps)
             for node in range(thread.first, num_nodes, thread.stride):
                 predict_node(group, node, timing.dt, progress, groups)
             synchronize_block()
             project_material(thread, timing, objects, worlds, groups)
             if wp.static(features.colliders or features.self_contact):
-                project_contacts(thread, objects, colliders, worlds, groups, touch, contacts)
+                project_contacts(thread, objects, colliders, worlds, groups, contacts)
             # The table last, so that no substep ends below it.
             for node in range(thread.first, num_nodes, thread.stride):
                 settle_node(group, node, objects.radii[thread.variant], timing.dt, groups)
             synchronize_block()
-        store_group(thread, timing, objects, worlds, groups, touch)
+        store_group(thread, timing, objects, worlds, groups, contacts)
 
     return step_groups
