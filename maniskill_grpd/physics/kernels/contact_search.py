@@ -13,18 +13,7 @@ from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.closest_points import closest_weights
 from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Timing, Worlds
 from maniskill_grpd.physics.kernels.lane_access import component, pick
-from maniskill_grpd.physics.kernels.lanes import (  # noqa: F401 (operators on lanes)
-    add,
-    any_positive,
-    div,
-    greater,
-    inner,
-    lesser,
-    mul,
-    root,
-    spread,
-    sub,
-)
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, div, greater, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
