@@ -2,6 +2,8 @@
 
 maniskill-grpd train --env_id RopeShaping-v1 --policy grpd --algorithm bpp --num_envs 64 --total_timesteps 1_000_000 --seed 1
 
+With --demonstrations FILE the policy first clones what `record` wrote, and training goes on from there.
+
 Everything goes to runs/{exp_name}/: config.json, metrics.jsonl, TensorBoard events, last.pt, best_ckpt.pt, final_ckpt.pt,
 learning_curve.png and a video. Ctrl-C, SIGTERM and SIGHUP end a run after the iteration, with a checkpoint. A run that was
 stopped goes on with --resume runs/{exp_name}; with --allow_import its task may be module:id, which runs the code of that module.
@@ -18,6 +20,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from maniskill_grpd.commands.run_command import parse_options, report_errors
+from maniskill_grpd.imitation.warm_start import start_from_demonstrations
 from maniskill_grpd.learning import TrainConfig, TrainingStoppedError
 from maniskill_grpd.learning.allocator import keep_freed_memory
 from maniskill_grpd.learning.workers import leave_workers
@@ -31,7 +34,7 @@ def train_and_report(config: TrainConfig) -> int | None:
     """Train, and say what can be done with the result."""
     with stop_request() as request:
         try:
-            run_dir = train(config, request)
+            run_dir = train(config, request, start_from_demonstrations if config.demonstrations else None)
         except TrainingStoppedError as stopped:
             goes_on = f"; go on: {command_line(['train', '--resume', str(stopped.run_dir)])}" if stopped.is_saved else ""
             print(f"{stopped}{goes_on}", file=sys.stderr)

@@ -23,7 +23,8 @@ class Demonstrations:
     graph: Graph
     """Raw observation graphs, (M, ...) per tensor."""
     actions: torch.Tensor
-    """What the expert does there, (M, A, 3), in units of the largest displacement per step."""
+    """What the expert does there, (M, A, 3), in units of the largest displacement per step; (M, A, 4) where grippers open (0) and
+    close (1), the last."""
     episode: torch.Tensor
     """Episode that each observation is from, (M,) int64."""
 
@@ -82,12 +83,13 @@ def record_demonstrations(
     )
 
 
-def load_demonstrations(path: Path, schema: GraphSchema) -> Demonstrations:
+def load_demonstrations(path: Path, schema: GraphSchema, *, has_grippers: bool = False) -> Demonstrations:
     """Read trajectories that ManiSkill's RecordEpisode wrote with graph observations.
 
     Args:
         path: The .h5 file.
         schema: What the graphs must hold.
+        has_grippers: Whether actions have a fourth number per gripper, which closes (1) or opens (0) it.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -106,14 +108,16 @@ def load_demonstrations(path: Path, schema: GraphSchema) -> Demonstrations:
             taken = torch.from_numpy(file[name]["actions"][:]).float()
             # There is one observation more than there are actions: the last.
             graphs.append(_read_graph(file[name]["obs/graph"], len(taken)))
-            actions.append(taken.unflatten(1, (-1, 3)))
+            actions.append(taken.unflatten(1, (-1, 4 if has_grippers else 3)))
             episodes.append(torch.full((len(taken),), number))
     graph = _concatenate(graphs)
     schema.validate(graph, values=True)
     # Recorded actions are what was asked for; the controller limits their length.
-    wanted = torch.cat(actions)
-    norm = torch.linalg.vector_norm(wanted, dim=-1, keepdim=True)
-    return Demonstrations(graph=graph, actions=wanted / norm.clamp(min=1.0), episode=torch.cat(episodes))
+    motion, grip = torch.cat(actions).tensor_split([3], dim=-1)
+    motion = motion / torch.linalg.vector_norm(motion, dim=-1, keepdim=True).clamp(min=1.0)
+    # The controller opens below a half.
+    wanted = torch.cat([motion, (grip > 0.5).float()], dim=-1)
+    return Demonstrations(graph=graph, actions=wanted, episode=torch.cat(episodes))
 
 
 def _first_on_cpu(graph: Graph, num: int) -> Graph:

@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import torch
+from torch.nn.functional import binary_cross_entropy_with_logits
 from tqdm import tqdm
 
 from maniskill_grpd.imitation.clone_config import CloneConfig
@@ -66,8 +67,11 @@ def gradient_step(
 
 
 def mean_squared_error(dist: ActionDistribution, actions: torch.Tensor) -> torch.Tensor:
-    """Mean of |mean - action|^2 over all actuators that are not masked; a scalar."""
-    return (dist.mean - actions).square().sum(-1)[dist.mask].mean()
+    """Mean of |mean - action|^2 over all actuators that are not masked, plus the negative log-likelihood of grips; a scalar."""
+    error = (dist.mean - actions[..., :3]).square().sum(-1)
+    if dist.gripper_logits is not None:
+        error = error + binary_cross_entropy_with_logits(dist.gripper_logits, actions[..., 3], reduction="none")
+    return error[dist.mask].mean()
 
 
 def negative_log_likelihood(dist: ActionDistribution, actions: torch.Tensor) -> torch.Tensor:
@@ -85,6 +89,6 @@ def relative_error(policy: Policy, demonstrations: Demonstrations, index: torch.
     for part in index.split(EVALUATION_CHUNK):
         graph, actions = demonstrations.select(part)
         dist = policy.distribution(graph)
-        error += (dist.mean - actions).square().sum(-1)[dist.mask].sum().item()
-        size += actions.square().sum(-1)[dist.mask].sum().item()
+        error += (dist.mean - actions[..., :3]).square().sum(-1)[dist.mask].sum().item()
+        size += actions[..., :3].square().sum(-1)[dist.mask].sum().item()
     return (error / size) ** 0.5

@@ -18,6 +18,7 @@ RESUMABLE_FIELDS = frozenset(
     {
         "capture_video",
         "checkpoint",
+        "demonstrations",
         "eval_freq",
         "num_eval_envs",
         "resume",
@@ -82,6 +83,8 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
     """write checkpoints; without them a run cannot be resumed"""
     checkpoint: str | None = None
     """checkpoint whose weights training starts from (a new run, unlike --resume)"""
+    demonstrations: str | None = None
+    """trajectories (.h5, from `record`) that the policy clones before it trains"""
     resume: str | None = None
     """run folder to continue; its options are taken over, options given here replace them"""
 
@@ -228,6 +231,9 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
         return {
             **super().contradictions(),
             "--resume continues a run and --checkpoint starts a new one; give one of them": bool(self.resume and self.checkpoint),
+            "--demonstrations clones a fresh policy and --checkpoint starts from one that is trained; give one of them": bool(
+                self.demonstrations and self.checkpoint
+            ),
             f"--anneal_lr is linear, --lr_schedule says {self.lr_schedule}; give one of them": (
                 self.anneal_lr and self.lr_schedule == "cosine"
             ),

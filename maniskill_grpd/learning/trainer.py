@@ -110,7 +110,7 @@ class Trainer:
             disturb = ObservationNoise(schema=policy.schema, position_std=noise[0], velocity_std=noise[1])
         self._collector = Collector(envs, config.num_steps, disturb, self.workers, config.amp)
         self.times: dict[str, float] = {}
-        self._is_resumed = False
+        self._has_scales = False
 
     def train(self) -> dict[str, float]:
         """Train up to `total_timesteps`.
@@ -136,7 +136,11 @@ class Trainer:
     def load(self, path: str | Path) -> None:
         """Continue from a checkpoint of a run with the same options; see `TrainingState.restore`."""
         self.state.restore(path)
-        self._is_resumed = True
+        self._has_scales = True
+
+    def keep_scales(self) -> None:
+        """Start with the scales of observations that the policy has, in place of those of a first rollout."""
+        self._has_scales = True
 
     def load_weights(self, path: str | Path) -> None:
         """Start a new run from the weights of a checkpoint; see `TrainingState.restore_weights`."""
@@ -180,7 +184,7 @@ class Trainer:
         self._start = time.perf_counter()
         self._steps_this_session = 0
         self._reset_envs()
-        if not self._is_resumed:
+        if not self._has_scales:
             rollout, _ = self._collect("while warming up")
             update_normalizer(self.policy.normalizer, rollout.flat_graph(), self.workers)
             self._reset_envs()

@@ -66,7 +66,7 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
         raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {obs_mode!r}")
     module, _, env_id = env_id.rpartition(":")
     if module:
-        _import_tasks(module)
+        import_tasks(module)
     tasks = {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}
     if env_id not in tasks:
         raise ValueError(f"there is no task {env_id!r} of deformable objects; there are {', '.join(sorted(tasks))}")
@@ -76,7 +76,8 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
         raise ValueError(f"{env_id} does not take the option(s) {', '.join(unknown)}; it takes {', '.join(sorted(known))}")
 
 
-def _import_tasks(module: str) -> None:
+def import_tasks(module: str) -> None:
+    """Import a module that registers tasks; ValueError if there is none."""
     try:
         importlib.import_module(module)
     except ModuleNotFoundError as error:

@@ -25,14 +25,20 @@ from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
 from maniskill_grpd.runs.video import record_video
 
 NUM_VIDEO_EPISODES = 4
+CLONED_STD = 0.15
+"""Standard deviation with which a policy that clones demonstrations explores, in units of the largest action."""
+
+WarmStart = Callable[[Trainer], None]
+"""Teaches the policy of a trainer before its first step."""
 
 
-def train(config: TrainConfig, should_stop: Callable[[], bool] = never) -> Path:
+def train(config: TrainConfig, should_stop: Callable[[], bool] = never, warm_start: WarmStart | None = None) -> Path:
     """Run a training as configured.
 
     Args:
         config: Options; with `resume` those of the run that goes on.
         should_stop: Asked after each iteration whether to stop there.
+        warm_start: Teaches the policy first, unless the run goes on from a checkpoint.
 
     Returns:
         The folder of the run.
@@ -51,11 +57,13 @@ def train(config: TrainConfig, should_stop: Callable[[], bool] = never) -> Path:
     if not config.resume and is_taken:
         raise FileExistsError(f"{run_dir} already holds a run; continue it with --resume {run_dir} or choose another --exp_name")
     with hold_run(run_dir) if workers.is_first else contextlib.nullcontext():
-        _train_in(run_dir, config, workers, should_stop)
+        _train_in(run_dir, config, workers, should_stop, warm_start)
     return run_dir
 
 
-def _train_in(run_dir: Path, config: TrainConfig, workers: Workers, should_stop: Callable[[], bool]) -> None:
+def _train_in(
+    run_dir: Path, config: TrainConfig, workers: Workers, should_stop: Callable[[], bool], warm_start: WarmStart | None
+) -> None:
     """Train in a folder that no other process works at."""
     trainer = make_trainer(config, run_dir, workers, should_stop)
     # A run that was stopped before its first checkpoint begins anew.
@@ -64,6 +72,8 @@ def _train_in(run_dir: Path, config: TrainConfig, workers: Workers, should_stop:
         trainer.load(run_dir / "last.pt")
     elif config.checkpoint:
         trainer.load_weights(config.checkpoint)
+    elif warm_start is not None:
+        warm_start(trainer)
     if workers.is_first:
         write_run_record(run_dir, config, trainer.envs.device, describe_task(config), workers.size)
     trainer.train()
@@ -91,7 +101,8 @@ def make_trainer(
     if config.eval_freq and workers.is_first:
         eval_envs = make_vector_env(config, config.num_eval_envs, partial_reset=False)
     torch.manual_seed(config.seed)
-    options = fit_policy_options(config.policy_options, envs)
+    cloned = {"init_std": CLONED_STD} if config.demonstrations else {}
+    options = fit_policy_options(cloned | config.policy_options, envs)
     policy = make_policy(config.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
     size = sum(parameter.numel() for parameter in policy.parameters())
     if workers.is_first:
