@@ -7,7 +7,7 @@ from pathlib import Path
 
 from maniskill_grpd.experiments.records import read_json
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.learning.config import RESUMABLE_FIELDS
+from maniskill_grpd.learning.config import NO_RECOMMENDED, RESUMABLE_FIELDS
 from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.runs.folder import RUNS
@@ -63,7 +63,7 @@ class Training:
         """The command that goes on with the training, or begins it if it has no checkpoint."""
         if (self.folder / "last.pt").exists():
             return ["train", "--resume", str(self.folder)]
-        return ["train", *to_arguments(self.config)]
+        return ["train", *to_arguments(self.config), NO_RECOMMENDED]
 
     def has_begun(self) -> bool:
         """Return whether the folder holds the run."""

@@ -14,6 +14,9 @@ from maniskill_grpd.learning.schedule import Coefficients, Schedule, scheduled
 BestMetric = Literal["success_at_end", "success_once", "return"]
 """Evaluation metrics that may choose the best checkpoint."""
 
+NO_RECOMMENDED = "--no_recommended"
+"""Word after `train` that leaves out what the task recommends: the defaults are then those of `TrainConfig`."""
+
 RESUMABLE_FIELDS = frozenset(
     {
         "capture_video",

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from maniskill_grpd.learning import TrainConfig
+from maniskill_grpd.learning.config import NO_RECOMMENDED
 from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.episodes import describe_episodes
@@ -40,7 +41,7 @@ def write_card(
     trained = TrainConfig.from_dict(contents["train_config"])
     given = dataclasses.replace(trained, **{name: getattr(TrainConfig(), name) for name in UNIMPORTANT})
     words = ["--env_id", trained.env_id, *to_arguments(dataclasses.replace(given, env_id=TrainConfig().env_id))]
-    command = shlex.join(["maniskill-grpd", "train", *words])
+    command = shlex.join(["maniskill-grpd", "train", *words, NO_RECOMMENDED])
     size = sum(weight.numel() for weight in policy.parameters())
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(

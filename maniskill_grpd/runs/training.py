@@ -20,6 +20,7 @@ from maniskill_grpd.runs.environments import check_task, make_vector_env
 from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.folder import RUNS, hold_run
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
+from maniskill_grpd.runs.recommended import describe_settings
 from maniskill_grpd.runs.record import make_run_name, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
 from maniskill_grpd.runs.video import record_video
@@ -106,6 +107,7 @@ def make_trainer(
     policy = make_policy(config.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
     size = sum(parameter.numel() for parameter in policy.parameters())
     if workers.is_first:
+        print(describe_settings(config))
         print(
             f"{config.env_id}: {config.num_envs} environments on {envs.device} in {workers.size} process(es); policy "
             f"{config.policy} with {size:,} parameters; {config.algorithm}, {config.num_iterations} iterations of "

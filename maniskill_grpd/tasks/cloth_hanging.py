@@ -93,6 +93,14 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
     GRIPPER_COUNTS = (3, 4)
     DEFAULT_NUM_GRIPPERS = 4
     HAS_TABLE = False
+    TRAINING = {
+        "env_kwargs": ("resolution=64", "graph_nodes=25"),
+        "num_envs": 16,
+        "num_minibatches": 4,
+        "gamma": 0.95,
+        "noise_correlation": 0.5,
+        "noise_schedule": "linear",
+    }
     PROGRESS = Metric("way_to_hanger", "m")
 
     CAMERA_POSITION = (-0.9, -2.3, 1.1)  # from there it sees hangers in all directions from the origin

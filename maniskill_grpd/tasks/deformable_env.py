@@ -96,6 +96,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     GRIPPER_COUNTS: tuple[int, ...]
     """Allowed numbers of grippers."""
     DEFAULT_NUM_GRIPPERS: int
+    TRAINING: Mapping[str, Any] = {}
+    """Settings that `train` takes for this task where its command line is silent, by name."""
     SELF_COLLISION = False
     """Whether the object collides with itself."""
 

@@ -62,6 +62,7 @@ class RopeShapingEnv(DeformableEnv, BaseEnv):
 
     GRIPPER_COUNTS = tuple(GRIPPER_ARCS)
     DEFAULT_NUM_GRIPPERS = 4
+    TRAINING = {"num_envs": 16, "num_minibatches": 4}
     PROGRESS = Metric("mean_distance", "m")
     OBJECT_CHANNELS = (
         channels.VELOCITY,

@@ -94,6 +94,7 @@ class RopeWrappingEnv(DeformableEnv, BaseEnv):
 
     GRIPPER_COUNTS = (2,)
     DEFAULT_NUM_GRIPPERS = 2
+    TRAINING = {"num_envs": 16, "num_minibatches": 4}
     PROGRESS = Metric("winding", "")
     OBJECT_CHANNELS = (channels.VELOCITY, *POST_CHANNELS, channels.ARC, channels.HELD, channels.CONTACT)
     RICH_GRIPPER_CHANNELS = (
