@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import torch
 from tqdm import tqdm
 
@@ -16,6 +15,7 @@ from maniskill_grpd.learning.acting_policy import PolicySnapshot, confine
 from maniskill_grpd.learning.checkpoint import save_checkpoint
 from maniskill_grpd.learning.collector import Collector
 from maniskill_grpd.learning.config import TrainConfig
+from maniskill_grpd.learning.episode_seeds import FIRST_EVAL_SEED, episode_seeds
 from maniskill_grpd.learning.evaluate import evaluate_policy
 from maniskill_grpd.learning.gae import generalized_advantages
 from maniskill_grpd.learning.normalizer_update import update_normalizer
@@ -28,12 +28,6 @@ from maniskill_grpd.learning.stopping import TrainingStoppedError, never
 from maniskill_grpd.learning.training_state import TrainingState
 from maniskill_grpd.learning.update import Learner
 from maniskill_grpd.learning.workers import Workers
-
-FIRST_TRAINING_SEED = 2**30
-"""Environments are trained on seeds from here up, so that no seed below is ever trained on."""
-
-FIRST_EVAL_SEED = 500_000
-"""Evaluations during training, which choose best_ckpt.pt, use the seeds from here on."""
 
 
 class Trainer:
@@ -335,15 +329,6 @@ class Trainer:
         start = time.perf_counter()
         yield
         self.times[phase] = time.perf_counter() - start
-
-
-def episode_seeds(config: TrainConfig, iteration: int) -> list[int]:
-    """Return the seeds the environments are reset with at the start of an iteration.
-
-    Independent for different (seed, iteration), and in [2^30, 2^31): disjoint from evaluation seeds.
-    """
-    state = np.random.SeedSequence([config.seed, iteration]).generate_state(config.num_envs)
-    return (FIRST_TRAINING_SEED + state % FIRST_TRAINING_SEED).tolist()
 
 
 def _progress_text(metrics: dict[str, float], progress: str) -> str:

@@ -3,32 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 import torch
 
 from maniskill_grpd.physics.colliders import Collider
 from maniskill_grpd.physics.fields import FIELDS, Field
+from maniskill_grpd.physics.memory import check_memory
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.upload import geodesic_table
-
-
-def _check_memory(num_worlds: int, sizes: dict[str, int], device: torch.device) -> None:
-    """Refuse worlds whose state does not fit into the memory there is.
-
-    Raises:
-        ValueError: With what is needed and what there is.
-    """
-    needed = num_worlds * sum(field.num_bytes(sizes) for field in FIELDS.values())
-    if device.type == "cuda":
-        available = torch.cuda.mem_get_info(device)[0]
-    else:
-        available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if needed > available:
-        raise ValueError(
-            f"{num_worlds} worlds need {needed / 2**30:.1f} GiB for their state alone, {device} has {available / 2**30:.1f} GiB"
-        )
 
 
 class WorldState:
@@ -51,7 +34,8 @@ class WorldState:
             "grippers": num_grippers,
             "colliders": len(colliders),
         }
-        _check_memory(num_worlds, self._sizes, device)
+        world_bytes = sum(field.num_bytes(self._sizes) for field in FIELDS.values())
+        check_memory(f"{num_worlds} worlds", num_worlds * world_bytes, "their state", device)
         self._allocate_variants()
         self._allocate_state()
 

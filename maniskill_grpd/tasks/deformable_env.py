@@ -18,6 +18,7 @@ from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
 from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, control_modes, supported_robots
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
+from maniskill_grpd.tasks.options.num_envs import check_num_envs
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.substeps import check_substeps
 from maniskill_grpd.tasks.options.visibility import choose_visibility
@@ -56,7 +57,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     state and move with their world.
 
     Args:
-        num_envs: Number of worlds B.
+        num_envs: Number of worlds B, as many as memory holds.
         obs_mode: "graph" (default), "state", "state_dict", "none", image modes of ManiSkill, or any of them joined as in
             "state+graph" and "graph+depth".
         sim_backend: "auto" (CUDA if there is a GPU, else CPU), "cpu" or "cuda".
@@ -129,8 +130,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         _check_choice("pose_range", pose_range, tuple(POSE_RANGES))
         _check_choice("graph_features", graph_features, GRAPH_FEATURES)
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be >= 1, got {num_envs}")
+        check_num_envs(num_envs)
         self.num_grippers, team = choose_team(num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS)
         self._bases = arm_bases(team, robot_poses)
         self.grasp, control_mode = choose_grasp(grasp, control_mode, control_modes(team))

@@ -26,7 +26,7 @@ def write_run(run, steps=20, **changes):
     """Leave what a training leaves that was interrupted before its first checkpoint."""
     run.folder.mkdir(parents=True)
     (run.folder / "config.json").write_text(json.dumps({"config": {**run.config.to_dict(), **changes}}))
-    (run.folder / "metrics.jsonl").write_text(json.dumps({"kind": "train", "global_step": steps}) + "\n")
+    (run.folder / "metrics.jsonl").write_text(json.dumps({"kind": "train", "iteration": 1, "global_step": steps}) + "\n")
     (run.folder / "events.out.tfevents.1").touch()
 
 

@@ -9,8 +9,8 @@ from toy_env import ToyEnv, ToyPolicy
 from toy_run import CONFIG, make_toy_trainer
 
 from maniskill_grpd.learning import CheckpointError, NonFiniteError, TrainConfig, Trainer, load_checkpoint
+from maniskill_grpd.learning.episode_seeds import FIRST_TRAINING_SEED, episode_seeds
 from maniskill_grpd.learning.run_log import read_rows
-from maniskill_grpd.learning.trainer import FIRST_TRAINING_SEED, episode_seeds
 from maniskill_grpd.learning.training_state import generator_seed
 from maniskill_grpd.learning.update import FirstOrderAlgorithm
 

@@ -4,6 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils import common
 from mani_skill.utils.registration import REGISTERED_ENVS
 
@@ -365,6 +366,19 @@ def test_no_action_holds_the_grippers_still(make_env):
     before = env.unwrapped.solver.gripper_positions.clone()
     env.step(None)
     assert torch.equal(env.unwrapped.solver.gripper_positions, before)
+
+
+def test_more_worlds_than_memory_holds_are_refused_before_any_is_made(monkeypatch):
+    """ManiSkill seeded a thousand million random generators first, and the machine stood still."""
+
+    def make(*_, **__):
+        raise AssertionError("worlds are being made")
+
+    monkeypatch.setattr(BaseEnv, "__init__", make)
+    with pytest.raises(ValueError, match=r"num_envs=1000000000 worlds need 57\d\d\.\d GiB for their random numbers alone"):
+        gym.make("RopeShaping-v1", num_envs=10**9)
+    with pytest.raises(AssertionError, match="worlds are being made"):
+        gym.make("RopeShaping-v1", num_envs=2)
 
 
 @pytest.mark.parametrize(
