@@ -12,11 +12,13 @@ import sys
 from collections.abc import Sequence
 
 from maniskill_grpd.commands.run_command import run_command
+from maniskill_grpd.commands.study_tasks import register_tasks
 from maniskill_grpd.experiments.condition_tests import ConditionTestConfig, run_tests
 
 
 def evaluate_study(config: ConditionTestConfig) -> int:
     """Play the tests, and return whether a condition was refused; a line says which, and why."""
+    register_tasks(config.own_tasks)
     errors = run_tests(config)
     for error in errors:
         print(f"error: {error}", file=sys.stderr)

@@ -37,6 +37,8 @@ class ConditionTestConfig:
     """the checkpoint to test"""
     output: Path | None = None
     """folder the files go to, by default `tests` beside the checkpoint"""
+    own_tasks: tuple[str, ...] = ()
+    """further tasks for the studies of all tasks, of the form module:id, which runs the code of that module"""
     num_episodes: int = 100
     """episodes under each condition"""
     seed: int = FIRST_TEST_SEED
@@ -71,7 +73,7 @@ def run_tests(config: ConditionTestConfig) -> list[str]:
     """
     torch.set_num_threads(config.torch_threads)
     study = find_study(config.study)
-    policy, contents = load_policy(config.checkpoint)
+    policy, contents = load_policy(config.checkpoint, allow_import=bool(config.own_tasks))
     trained = TrainConfig.from_dict(contents["train_config"])
     errors = []
     for condition in find_task(study, trained).conditions:

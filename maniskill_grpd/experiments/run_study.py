@@ -32,6 +32,8 @@ class StudyConfig(LauncherConfig):
     """trainings of each policy on each task, with seeds from 1 up"""
     tasks: tuple[str, ...] = ()
     """only these tasks of the study"""
+    own_tasks: tuple[str, ...] = ()
+    """further tasks for the studies of all tasks, of the form module:id, which runs the code of that module"""
     arms: tuple[str, ...] = ()
     """only these policies (arms) of the study"""
     num_episodes: int = 100

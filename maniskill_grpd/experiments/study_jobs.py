@@ -50,6 +50,8 @@ def make_job(study: Study, run: Run, num_episodes: int) -> Job:
     """
     training = Training(dataclasses.replace(run.train_config(), exp_name=f"{STUDY_RUNS.name}/{run.name}"))
     options = ("--study", study.name, "--checkpoint", str(training.checkpoint), "--num_episodes", str(num_episodes))
+    if ":" in run.task.env_id:
+        options += ("--own_tasks", run.task.env_id)
     names = tuple(condition.name for condition in run.task.conditions)
     job = Job(training.folder, training, Tests(training.folder, ("evaluate_study", *options), names, num_episodes))
     job.check()

@@ -62,7 +62,8 @@ class Training:
     def words(self) -> list[str]:
         """The command that goes on with the training, or begins it if it has no checkpoint."""
         if (self.folder / "last.pt").exists():
-            return ["train", "--resume", str(self.folder)]
+            is_own = ":" in self.config.env_id  # whoever named its module to this sweep or study trusts it
+            return ["train", "--resume", str(self.folder), *(["--allow_import"] if is_own else [])]
         return ["train", *to_arguments(self.config), NO_RECOMMENDED]
 
     def has_begun(self) -> bool:

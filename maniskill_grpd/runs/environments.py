@@ -64,16 +64,31 @@ def check_task(env_id: str, options: Mapping[str, Any]) -> None:
     obs_mode = options.get("obs_mode", "graph")
     if "graph" not in str(obs_mode).split("+"):
         raise ValueError(f"policies act on graphs: obs_mode must be graph, or others joined with it, got {obs_mode!r}")
-    module, _, env_id = env_id.rpartition(":")
-    if module:
-        import_tasks(module)
-    tasks = {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}
-    if env_id not in tasks:
-        raise ValueError(f"there is no task {env_id!r} of deformable objects; there are {', '.join(sorted(tasks))}")
-    known = known_options(tasks[env_id])
+    known = known_options(find_task(env_id))
     unknown = sorted(set(options) - known)
     if unknown:
-        raise ValueError(f"{env_id} does not take the option(s) {', '.join(unknown)}; it takes {', '.join(sorted(known))}")
+        name = env_id.rpartition(":")[2]
+        raise ValueError(f"{name} does not take the option(s) {', '.join(unknown)}; it takes {', '.join(sorted(known))}")
+
+
+def registered_tasks() -> dict[str, type[DeformableEnv]]:
+    """Return the tasks of deformable objects by id."""
+    return {name: spec.cls for name, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)}
+
+
+def find_task(env_id: str) -> type[DeformableEnv]:
+    """Return a task by its id; one of the form module:id is looked for in that module, which is imported.
+
+    Raises:
+        ValueError: If there is no such module or task, listing the tasks there are.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module:
+        import_tasks(module)
+    tasks = registered_tasks()
+    if name not in tasks:
+        raise ValueError(f"there is no task {name!r} of deformable objects; there are {', '.join(sorted(tasks))}")
+    return tasks[name]
 
 
 def import_tasks(module: str) -> None:

@@ -99,6 +99,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     DEFAULT_NUM_GRIPPERS: int
     TRAINING: Mapping[str, Any] = {}
     """Settings that `train` takes for this task where its command line is silent, by name."""
+    STUDY_OPTIONS: Mapping[str, Any] = {}
+    """Options with which the studies of all tasks train on it; those of the paper's tasks stand with the paper's claims."""
     SELF_COLLISION = False
     """Whether the object collides with itself."""
 

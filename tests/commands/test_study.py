@@ -8,16 +8,22 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import gymnasium as gym
 import pytest
 
 pytest.importorskip("mani_skill")
+
+from mani_skill.utils.registration import REGISTERED_ENVS
 
 from maniskill_grpd.commands import main
 from maniskill_grpd.experiments import STUDIES, Arm, Study, Task, launchers
 from maniskill_grpd.experiments.study import to_pairs
 from maniskill_grpd.experiments.study_jobs import STUDY_RUNS
 from maniskill_grpd.learning import load_checkpoint
+from maniskill_grpd.runs.environments import registered_tasks
+from maniskill_grpd.tasks import DeformableEnv
 
 TINY = {"num_envs": 4, "num_steps": 5, "num_minibatches": 2, "update_epochs": 1, "num_eval_envs": 2}
 TASK = Task(env_id="RopeShaping-v1", options={"resolution": 20, "num_grippers": 2}, conditions=())
@@ -154,3 +160,43 @@ def test_a_damaged_table_stops_a_study_before_it_begins(toy, capsys):
     assert main(["study", *arguments("toy", 40, "--seeds", "1")]) == 1
     assert f"{data}/tests.csv, line 2: 2 fields, where the head has 3" in capsys.readouterr().err
     assert not list(STUDY_RUNS.glob("*/config.json"))
+
+
+OWN_TASK = """
+from mani_skill.utils.registration import register_env
+from maniskill_grpd.tasks import RopeShapingEnv
+
+@register_env("OwnShaping-v1", max_episode_steps=100)
+class OwnShapingEnv(RopeShapingEnv):
+    STUDY_OPTIONS = {"resolution": 20}
+"""
+
+
+@pytest.fixture
+def own_task(folder, monkeypatch):
+    """Name a task in a module of its own, which is forgotten again."""
+    (folder / "own_shaping.py").write_text(OWN_TASK)
+    monkeypatch.syspath_prepend(str(folder))
+    for name, study in STUDIES.items():
+        monkeypatch.setitem(STUDIES, name, study)
+    yield "own_shaping:OwnShaping-v1"
+    for registry in (REGISTERED_ENVS, gym.registry):
+        registry.pop("OwnShaping-v1", None)
+    sys.modules.pop("own_shaping", None)
+
+
+def test_a_task_of_ones_own_reaches_the_studies_with_its_options(own_task, capsys):
+    words = arguments("main", 40, "--own_tasks", own_task, "--tasks", own_task, "--arms", "grpd", "--dry_run")
+    assert main(["study", *words]) == 0
+    assert f"{own_task},resolution=20__grpd" in capsys.readouterr().out
+
+
+def test_every_task_of_the_package_is_in_the_studies_of_all_tasks(folder, monkeypatch):
+    for name, study in STUDIES.items():
+        monkeypatch.setitem(STUDIES, name, study)
+    added = type("AddedEnv", (DeformableEnv,), {"__module__": "maniskill_grpd.tasks.added", "STUDY_OPTIONS": {"resolution": 20}})
+    monkeypatch.setitem(REGISTERED_ENVS, "Added-v1", SimpleNamespace(cls=added))
+    assert main(["study", *arguments("main", 40, "--dry_run")]) == 0
+    tasks = {task.env_id: task.options for task in STUDIES["main"].tasks}
+    assert {name for name, task in registered_tasks().items() if task.__module__.startswith("maniskill_grpd.")} <= set(tasks)
+    assert tasks["Added-v1"] == {"resolution": 20}

@@ -9,6 +9,7 @@ from random_graphs import SCHEMA
 from maniskill_grpd.experiments import STUDIES, Arm, Condition, Run, Task, find_study
 from maniskill_grpd.experiments.metrics import METRICS
 from maniskill_grpd.experiments.plots import PLOTS
+from maniskill_grpd.experiments.studies import register_task
 from maniskill_grpd.experiments.study import combine, to_pairs, with_noise, with_option
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.policies import make_policy
@@ -19,6 +20,19 @@ ALL = pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
 def test_every_claim_of_the_design_has_a_study():
     training = {"main", "equivariance", "heterogeneity", "bpp_vs_ppo", "unseen_shapes", "pose_range", "trust_region", "decoder"}
     assert set(STUDIES) == training | {"noise", "resolution", "grippers", "cost"}
+
+
+def test_a_registered_task_joins_the_studies_of_all_tasks_once(monkeypatch):
+    for name, study in STUDIES.items():
+        monkeypatch.setitem(STUDIES, name, study)  # all are put back
+    before = dict(STUDIES)
+    for _ in range(2):
+        register_task("own:Knots-v1", {"resolution": 21})
+        register_task("RopeShaping-v1", {"resolution": 100})
+    joined = {name for name, study in STUDIES.items() if study != before[name]}
+    assert joined == {"main", "heterogeneity"}
+    for name in joined:
+        assert find_study(name).tasks == (*before[name].tasks, Task(env_id="own:Knots-v1", options={"resolution": 21}))
 
 
 @ALL

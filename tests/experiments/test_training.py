@@ -66,6 +66,13 @@ def test_a_run_with_a_checkpoint_is_resumed_and_loses_nothing():
     assert run.words == ["train", "--resume", "runs/s/seed=1"]
 
 
+def test_a_run_of_ones_own_task_is_resumed_with_leave_to_import_its_module():
+    run = training(env_id="own_task:RopeClosing-v1")
+    write_run(run)
+    (run.folder / "last.pt").touch()
+    assert run.words == ["train", "--resume", "runs/s/seed=1", "--allow_import"]
+
+
 def test_a_finished_run_without_checkpoints_is_not_trained_again():
     """It left no final_ckpt.pt, and so was deleted and trained anew by the same sweep."""
     finished, interrupted = training("s/a", save_model=False), training("s/b", save_model=False)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from maniskill_grpd.experiments.studies.cost import COST
 from maniskill_grpd.experiments.studies.generalization import GRIPPERS, NOISE, RESOLUTION, UNSEEN_SHAPES
 from maniskill_grpd.experiments.studies.learning import (
@@ -13,7 +15,8 @@ from maniskill_grpd.experiments.studies.learning import (
     POSE_RANGE,
     TRUST_REGION,
 )
-from maniskill_grpd.experiments.study import Study
+from maniskill_grpd.experiments.studies.parts import ALL_TASKS
+from maniskill_grpd.experiments.study import Options, Study, Task
 
 STUDIES: dict[str, Study] = {
     study.name: study
@@ -33,6 +36,18 @@ STUDIES: dict[str, Study] = {
     )
 }
 """All studies by name, in the order in which a reader meets them."""
+
+
+def register_task(env_id: str, options: Options) -> None:
+    """Let the studies that are about all tasks train on a further one; a task that a study has stays as it is there.
+
+    Args:
+        env_id: Its id, of the form module:id where a module has to be imported for it.
+        options: Its options in training.
+    """
+    for study in STUDIES.values():
+        if set(ALL_TASKS) <= set(study.tasks) and env_id not in {task.env_id for task in study.tasks}:
+            STUDIES[study.name] = dataclasses.replace(study, tasks=(*study.tasks, Task(env_id=env_id, options=options)))
 
 
 def find_study(name: str) -> Study:
