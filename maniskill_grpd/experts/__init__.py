@@ -43,7 +43,7 @@ def make_expert(env_id: str, env: Any) -> Expert:
     """Make the expert of a task.
 
     Args:
-        env_id: Id of the task.
+        env_id: Id of the task, also of the form module:id.
         env: The environment it acts in, plain or wrapped, of any number of worlds.
 
     Returns:
@@ -52,9 +52,9 @@ def make_expert(env_id: str, env: Any) -> Expert:
     Raises:
         ValueError: If the task has no expert, or `env` is an environment of another task.
     """
-    if env_id not in EXPERTS:
+    expert = EXPERTS.get(env_id.rpartition(":")[2])
+    if expert is None:
         raise ValueError(f"{env_id!r} has no expert; tasks with one are {sorted(EXPERTS)}")
-    expert = EXPERTS[env_id]
     if not isinstance(env.unwrapped, expert.task):
         raise ValueError(f"the expert of {env_id!r} acts in a {expert.task.__name__}, got a {type(env.unwrapped).__name__}")
     return expert(env)

@@ -63,7 +63,7 @@ def test_an_own_expert_solves_the_example(task):
     register_expert(ENV_ID, type("OwnExpert", (ClosingExpert,), {"task": task}))
     env = gym.make(ENV_ID, num_envs=8, sim_backend="cpu", render_backend="none")
     env.reset(seed=0)
-    expert = make_expert(ENV_ID, env)
+    expert = make_expert(f"own_task:{ENV_ID}", env)  # as it is named where its module has to be imported
     for _ in range(40):
         info = env.step(expert.act())[4]
     assert info["success"].all()
