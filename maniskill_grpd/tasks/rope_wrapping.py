@@ -253,7 +253,7 @@ class RopeWrappingEnv(DeformableEnv, BaseEnv):
         """
         metrics = measurement.metrics
         winding = metrics["winding"].clamp(max=1.0) * metrics["share_at_height"]
-        closing = winding.square() * (1.0 - torch.tanh(metrics["ends_distance"] / self.CLOSING_SCALE))
+        closing = winding.square() * (1.0 - torch.tanh(metrics["ends_distance"].double() / self.CLOSING_SCALE).float())
         return self.WINDING_WEIGHT * winding + self.CLOSING_WEIGHT * closing + self.SUCCESS_WEIGHT * measurement.success
 
     def object_values(self, measurement: WrappingMeasurement) -> dict[str, torch.Tensor]:

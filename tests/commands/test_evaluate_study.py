@@ -27,7 +27,7 @@ def test_a_checkpoint_is_tested_under_every_condition_once(capsys):
     files = {path.name: path.stat().st_mtime_ns for path in Path("tests").iterdir()}
     assert set(files) == {"as trained.json", "num_grippers=2.json", "num_grippers=3.json"}
     result = json.loads(Path("tests/num_grippers=3.json").read_text())
-    assert result["env_kwargs"] == {"num_grippers": 3}
+    assert result["env_kwargs"] == {"graph_features": "rich", "num_grippers": 3}
     assert len(result["episodes"]["return"]) == 2
     assert result["mean"]["return"] == pytest.approx(sum(result["episodes"]["return"]) / 2)
     assert main(["evaluate_study", *words]) == 0
@@ -57,8 +57,8 @@ def test_a_condition_that_the_task_refuses_does_not_stop_the_others(capsys, monk
 @pytest.mark.parametrize(
     ("study", "message"),
     [
-        ("pose_range", "no task like that of the checkpoint, RopeShaping-v1; it has: ClothHanging-v1 "),
-        ("cost", "RopeShaping-v1; it has: RopeShaping-v1 resolution=25 graph_nodes=null; RopeShaping-v1 resolution=50 "),
+        ("pose_range", 'no task like that of the checkpoint, RopeShaping-v1 graph_features="rich"; it has: ClothHanging-v1 '),
+        ("cost", "it has: RopeShaping-v1 resolution=25 graph_nodes=null; RopeShaping-v1 resolution=50 "),
     ],
 )
 def test_a_checkpoint_of_another_task_is_refused_with_the_tasks_there_are(capsys, study, message):

@@ -6,7 +6,10 @@ import compare_runs
 
 
 def write_log(path, returns):
-    rows = [{"kind": "train", "global_step": i, "train/return": r, "losses/kl_raw_max": 0.1 * i} for i, r in enumerate(returns)]
+    rows = [
+        {"kind": "train", "iteration": i, "global_step": i, "train/return": r, "losses/kl_raw_max": 0.1 * i}
+        for i, r in enumerate(returns)
+    ]
     path.write_text("\n".join(map(json.dumps, rows)) + "\n")
     return path
 

@@ -34,8 +34,8 @@ def test_a_training_that_runs_tells_the_speed_of_its_kind():
     guess = seconds_left([Job(run.folder, run) for run in (first, second)], 1)
     first.folder.mkdir(parents=True)
     rows = [
-        {"kind": "train", "global_step": 100, "time/rollout_time": 60.0, "time/update_time": 30.0},
-        {"kind": "eval", "global_step": 100, "time/eval_time": 10.0},
+        {"kind": "train", "iteration": 1, "global_step": 100, "time/rollout_time": 60.0, "time/update_time": 30.0},
+        {"kind": "eval", "iteration": 1, "global_step": 100, "time/eval_time": 10.0},
     ]
     (first.folder / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     assert measured_rate(first) == 1.0

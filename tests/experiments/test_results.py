@@ -27,22 +27,24 @@ def write_run(folder, success=0.5, name=RUN.name):
     rows = [
         {
             "kind": "train",
+            "iteration": 1,
             "global_step": 500,
             "time/update_time": 1.0,
             "time/rollout_time": 2.0,
             "losses/kl_projected": 0.1,
             "losses/kl_acting": 0.5,
         },
-        {"kind": "eval", "global_step": 500, "eval/return": 10.0, "eval/success_at_end": 0.0},
+        {"kind": "eval", "iteration": 1, "global_step": 500, "eval/return": 10.0, "eval/success_at_end": 0.0},
         {
             "kind": "train",
+            "iteration": 2,
             "global_step": 1000,
             "time/update_time": 3.0,
             "time/rollout_time": 4.0,
             "losses/kl_projected": 0.3,
             "losses/kl_acting": 0.7,
         },
-        {"kind": "eval", "global_step": 1000, "eval/return": 30.0, "eval/success_at_end": success},
+        {"kind": "eval", "iteration": 2, "global_step": 1000, "eval/return": 30.0, "eval/success_at_end": success},
     ]
     (run_dir / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     test = {"condition": "as trained", "sigma": 0.0, "num_episodes": 5, "first_seed": 7, "global_step": 1000, "env_kwargs": {}}

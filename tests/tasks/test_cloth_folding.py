@@ -288,7 +288,7 @@ def test_shapes_and_resolutions_mix_in_one_environment(make_folding):
 
 
 def test_graph_shows_the_crease_and_the_goals_of_what_is_held(make_folding):
-    env = make_folding(4, obs_mode="graph", graph_nodes=20)
+    env = make_folding(4, obs_mode="graph", graph_nodes=20, graph_features="rich")
     base, (obs, _) = env.unwrapped, env.reset(seed=3)
     schema, graph = base.graph_schema, obs["graph"]
     names = [channel.name for channel in schema.actuator.vectors]

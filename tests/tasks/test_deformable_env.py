@@ -45,7 +45,7 @@ def test_is_registered():
 
 
 def test_graph_fits_its_schema_and_the_worlds(make_env, draw_actions):
-    env = make_env(obs_mode="graph", graph_nodes=None)
+    env = make_env(obs_mode="graph", graph_nodes=None, graph_features="rich")
     base = env.unwrapped
     obs = run(env, draw_actions(5, 3))[-1]["obs"]
     graph, solver = obs["graph"], base.solver

@@ -8,7 +8,7 @@ from functools import cache
 import warp as wp
 
 from maniskill_grpd.physics.kernels.data import Colliders, Objects, Worlds
-from maniskill_grpd.physics.kernels.grippers import is_valid, limit_gripper_targets, stop_grippers
+from maniskill_grpd.physics.kernels.grippers import find_ways, is_valid, limit_gripper_targets, stop_grippers
 
 NUM_JOINTS = 7
 """Most joints of an arm; the chains of shorter ones end with joints that are fixed."""
@@ -325,6 +325,8 @@ def follow_kernel(has_colliders: bool) -> wp.Kernel:
         for arm in range(arms.tools.shape[0]):
             if not is_valid(worlds.gripper_targets[world, arm]):  # freezes the world
                 return
+        if wp.static(has_colliders):
+            find_ways(world, worlds.variants[world], objects, colliders, worlds)
         agreed = bool(False)
         for turn in range(ROUNDS):
             if not agreed:
