@@ -15,10 +15,11 @@ def angles_between(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
         second: (..., 2) [m].
 
     Returns:
-        (...) [rad].
+        (...) [rad]. Computed in double precision: in single precision the last bit of an arc tangent depends on its place in the
+        batch, by whether it is computed in a vector register.
     """
-    (x, y), (u, v) = first.unbind(-1), second.unbind(-1)
-    return torch.atan2(x * v - y * u, x * u + y * v)
+    (x, y), (u, v) = first.double().unbind(-1), second.double().unbind(-1)
+    return torch.atan2(x * v - y * u, x * u + y * v).to(first.dtype)
 
 
 def turning_angles(points: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
