@@ -13,6 +13,8 @@ from maniskill_grpd.physics.kernels.lanes import add, choose, div, greater, inne
 WRINKLE_SOFTENING = wp.constant(100.0)
 # Time in which carried impulses follow the tension [s]: long beside the oscillations of a draped cloth, or they feed them.
 TENSION_MEMORY = wp.constant(1.5)
+# How many times faster they follow a tension that falls: what is carried beyond it would contract a cloth that has been let go.
+RELEASE = wp.constant(4.0)
 # Largest carried impulse in units of l / (w_i + w_j): a node between two such edges is moved by its own offset from their line.
 # Beyond 2/3 it would overshoot by more than that.
 MAX_CARRIED = wp.constant(0.2)
@@ -96,7 +98,8 @@ def carry_impulse(group: int, line: Line, k: int, change: Any, objects: Objects,
     w = groups.weights[group, objects.line_nodes[line.first_node + k]]
     w = w + groups.weights[group, objects.line_nodes[line.first_node + k + 1]]
     bound = spread(w, MAX_CARRIED * objects.rest_lengths[line.first_edge + k]) / greater(w, spread(w, 1.0e-9))
-    impulse = groups.carried[group, line.first_column + k] - change
+    carried = groups.carried[group, line.first_column + k]
+    impulse = carried - choose(carried * change, change * spread(w, RELEASE), change)
     impulse = greater(impulse, bound * -1.0)
     groups.carried[group, line.first_column + k] = bound - greater(bound - impulse, spread(bound, 0.0))
 
