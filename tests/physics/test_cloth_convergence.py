@@ -37,10 +37,10 @@ def test_a_cloth_held_by_one_corner_comes_to_rest():
 
 
 def test_a_cloth_without_damping_gains_no_energy():
-    """What bending and wrinkled edges hold is not counted: a thousandth of m g L comes and goes with it."""
+    """What bending and shortened edges hold is not counted: half a percent of m g L comes and goes with it."""
     energies = cloth_convergence.undamped_energies(100, 20)
     unit = 0.2 * 0.4**2 * 9.81 * 0.4
-    assert max(later - earlier for earlier, later in itertools.pairwise(energies)) < 1e-3 * unit
+    assert max(later - earlier for earlier, later in itertools.pairwise(energies)) < 5e-3 * unit
     assert all(later < earlier - 0.01 * unit for earlier, later in itertools.pairwise(energies[::5]))
 
 

@@ -138,7 +138,7 @@ def test_a_tube_keeps_its_curved_rest_shape():
     model = cloth_from_mesh(*tube(), material=STIFF)
     assert distortion(model, run(floating(model), 40)) < 1e-5
     flattened = replace(model, fold_sines=np.zeros_like(model.fold_sines))
-    assert distortion(model, run(floating(flattened), 40)) > 5e-4
+    assert distortion(model, run(floating(flattened), 40)) > 2e-4
 
 
 def test_a_squashed_tube_springs_back():
