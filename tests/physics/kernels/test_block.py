@@ -100,6 +100,7 @@ def test_blocks_of_threads_compute_the_bits_of_the_lanes(scene, in_blocks):
 
 
 def test_without_the_barrier_they_do_not(in_blocks):
+    """Negative control. Threads that happen to run one after the other agree even so: any of several tries has to differ."""
     lanes = final_state(Solver, "rope")
     in_blocks(NO_BARRIER)
-    assert "positions" in differing(lanes, final_state(BlockSolver, "rope"))
+    assert any("positions" in differing(lanes, final_state(BlockSolver, "rope")) for _ in range(20))
