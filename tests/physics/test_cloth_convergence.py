@@ -37,7 +37,7 @@ def test_a_cloth_held_by_one_corner_comes_to_rest():
 
 
 def test_a_cloth_without_damping_loses_energy_though_not_in_every_second():
-    """Nothing in the method forbids gains: up to 0.4 % of m g L were seen within a second, also with all elastic energy counted."""
+    """Nothing in the method forbids gains: up to 0.4 % of m g L came within a second, with all elastic energy counted too."""
     energies = cloth_convergence.undamped_energies(100, 20)
     unit = 0.2 * 0.4**2 * 9.81 * 0.4
     assert max(later - earlier for earlier, later in itertools.pairwise(energies)) < 5e-3 * unit
