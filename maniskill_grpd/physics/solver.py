@@ -16,10 +16,11 @@ from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_n
 from maniskill_grpd.physics.leashes import NO_LEASH
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_ways
+from maniskill_grpd.physics.tugs import Tugs
 from maniskill_grpd.physics.upload import choose_features, upload_colliders, upload_objects, upload_timings
 
 
-class Solver(Grasps):
+class Solver(Grasps, Tugs):
     """XPBD with small substeps for B worlds, each with one of M object variants.
 
     Every state tensor is allocated once and shared with Warp: write into it, never rebind it. `step()` allocates nothing and does
@@ -54,6 +55,8 @@ class Solver(Grasps):
         collider_rotations: Unit quaternions (w, x, y, z), (B, K, 4).
         collider_sizes: (B, K, 3) [m], by kind (see `Collider`).
         collider_active: (B, K) bool; inactive ones are not there.
+        tug_nodes: Node that a spring pulls at, -1 for none, (B,) int32; see `tug`.
+        tug_targets, tug_stiffnesses: Where it pulls to, (B, 3) [m], and how hard, (B,) [N/m].
         slips: How often since the reset of its world a gripper lost what it held, (B, A) int32, because that pulled harder than
             `grip_strength`. The gripper stays closed, and holds nothing until it has been opened and closes again.
         crossed_owners, crossed_elements: Contacts with itself whose elements have passed through each other, -1 for none,
@@ -203,6 +206,7 @@ class Solver(Grasps):
         self.gripper_nodes[world_idx] = -1
         self.closed[world_idx] = False
         self.gripper_forces[world_idx] = 0.0
+        self.let_go(world_idx)
         if gripper_nodes is not None:
             self.grasp(world_idx, gripper_nodes)
 

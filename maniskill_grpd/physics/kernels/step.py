@@ -31,6 +31,7 @@ from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
 from maniskill_grpd.physics.kernels.self_contact import project_self_contacts
 from maniskill_grpd.physics.kernels.stretch import load_tensions, project_sheet_line, pull_sheet_line, store_tensions
 from maniskill_grpd.physics.kernels.tethers import load_tethers, project_tethers, sum_tethers
+from maniskill_grpd.physics.kernels.tugs import pull_tugged_nodes
 
 
 @cache
@@ -157,6 +158,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             progress = float(substep + 1) / float(timing.num_substeps)
             for node in range(thread.first, num_nodes, thread.stride):
                 predict_node(group, node, timing.dt, progress, groups)
+            synchronize_block()
+            pull_tugged_nodes(thread, timing, worlds, groups)
             synchronize_block()
             project_material(thread, timing, objects, worlds, groups)
             if wp.static(features.colliders or features.self_contact):
