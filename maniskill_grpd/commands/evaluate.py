@@ -16,6 +16,7 @@ from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.runs.checkpoint_card import write_card
 from maniskill_grpd.runs.episodes import describe_episodes, write_episodes
 from maniskill_grpd.runs.evaluation import Evaluation, EvaluationConfig, evaluate
+from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.video import record_video
 
 
@@ -47,6 +48,7 @@ def _facts(config: EvaluationConfig, found: Evaluation) -> dict[str, object]:
         "num_episodes": config.num_episodes,
         "sigma": config.sigma,
         "global_step": found.global_step,
+        "fingerprint": describe_task(found.task)["fingerprint"],
     }
 
 

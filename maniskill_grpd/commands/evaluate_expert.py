@@ -16,6 +16,7 @@ from maniskill_grpd.imitation.expert_actor import play_expert
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.options import require_positive
 from maniskill_grpd.runs.episodes import describe_episodes, write_episodes
+from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 
 
@@ -48,6 +49,7 @@ def evaluate_expert(config: ExpertConfig) -> None:
     print(describe_episodes(episodes))
     if config.json is not None:
         facts = {"num_episodes": config.num_episodes, "first_seed": config.seed, "env_kwargs": task.env_options}
+        facts["fingerprint"] = describe_task(task)["fingerprint"]
         write_episodes(config.json, {"condition": "as trained", "sigma": 0.0, "global_step": 0, **facts}, episodes)
 
 

@@ -15,13 +15,14 @@ from collections.abc import Sequence
 
 from maniskill_grpd.commands.run_command import run_command
 from maniskill_grpd.commands.study_tasks import register_tasks
+from maniskill_grpd.experiments.present import present_mark
 from maniskill_grpd.experiments.run_study import StudyConfig, run_study
 
 
 def study(config: StudyConfig) -> int:
     """Run the study, and return whether a run failed."""
     register_tasks(config.own_tasks)
-    return int(bool(run_study(config)))
+    return int(bool(run_study(config, present_mark)))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -20,6 +20,7 @@ from maniskill_grpd.learning import CheckpointError, TrainConfig
 from maniskill_grpd.learning.options import THREADS, check_ranges, require_positive
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import load_policy
+from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.play import change_task, play
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 
@@ -123,6 +124,7 @@ def play_condition(config: ConditionTestConfig, policy: Policy, trained: TrainCo
     episodes = play(policy, task, seeds, config.num_envs, sigma=condition.sigma)
     return {
         "env_kwargs": task.env_options,
+        "fingerprint": describe_task(task)["fingerprint"],
         "mean": {name: values.double().mean().item() for name, values in episodes.items()},
         "episodes": {name: values.tolist() for name, values in episodes.items()},
     }

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import get_args
 
 from maniskill_grpd.experiments.claim import MIN_RUNS, Verdict
+from maniskill_grpd.experiments.fingerprints import Present
 from maniskill_grpd.experiments.metrics import METRICS
 from maniskill_grpd.experiments.plots import PLOTS
 from maniskill_grpd.experiments.results import load_results
@@ -38,19 +39,20 @@ the claim, in about 10 % of cases instead of 2.5 %, and there are many claims he
 every verdict as a first impression."""
 
 
-def write_study_page(study: Study, folder: Path, budget: int | None = None) -> Path:
+def write_study_page(study: Study, folder: Path, budget: int | None = None, present: Present | None = None) -> Path:
     """Write the page of a study and its pictures.
 
     Args:
         study: The study.
         folder: Where pages go; its folder `data` holds the CSV files.
         budget: Environment steps of the runs to compare; None: for each task the largest there are.
+        present: What the present code says of a run; see `choose`.
 
     Returns:
         The page, {study}.md; pictures lie beside it as {study}_{kind}.png.
     """
-    data = StudyData(study, load_results(folder / DATA_FOLDER), budget)
-    parts = [f"# {study.title}", study.question, _provenance(data)]
+    data = StudyData(study, load_results(folder / DATA_FOLDER), budget, present)
+    parts = [f"# {study.title}", study.question, _provenance(data), *_cautions(data)]
     if study.claims:
         parts += ["## Claims", claim_table((claim, data.finding(claim)) for claim in study.claims), READING]
     for metric in study.metrics:
@@ -61,13 +63,13 @@ def write_study_page(study: Study, folder: Path, budget: int | None = None) -> P
     return _write(folder, study.name, parts)
 
 
-def write_summary_page(folder: Path, budget: int | None = None) -> Path:
+def write_summary_page(folder: Path, budget: int | None = None, present: Present | None = None) -> Path:
     """Write README.md: the state of every study, and every claim of the paper with what the data say."""
     results = load_results(folder / DATA_FOLDER)
     studies = [["study", "about", "steps", "runs finished", "failed", "claims that hold", "that do not", "undecided", NOT_RUN]]
     claims = []
     for study in STUDIES.values():
-        data = StudyData(study, results, budget)
+        data = StudyData(study, results, budget, present)
         findings = [(claim, data.finding(claim)) for claim in study.claims]
         verdicts = Counter(finding.verdict for _, finding in findings)
         states = Counter(results.state(run) for task in study.tasks for run in data.runs(task))
@@ -108,6 +110,18 @@ def _provenance(data: StudyData) -> str:
         sentences.append(f"Episodes of each test, on seeds that training does not use: {', '.join(episodes)}.")
     sentences.append(f"Device: {', '.join(devices)}. Commit: {', '.join(commits)}.")
     return " ".join(sentences)
+
+
+def _cautions(data: StudyData) -> list[str]:
+    """Say which tasks are of older code than the present one, and what is left out."""
+    parts = []
+    older = [task.name for task in data.study.tasks if data.is_older(task)]
+    if older:
+        parts.append(f"**Older than the present code**, which does something else: {', '.join(older)}.")
+    if data.left_out:
+        rows = [f"- `{name}`: {reason}" for name, reason in sorted(data.left_out.items())]
+        parts.append("\n".join(["Left out:", "", *rows]))
+    return parts
 
 
 def _command(study: str) -> str:

@@ -15,6 +15,8 @@ from maniskill_grpd.learning.run_log import read_rows
 
 Row = dict[str, Any]
 
+FINGERPRINT = ("solver", "task", "learner", "code")
+"""Parts of a fingerprint, and the columns that hold them."""
 CURVE_METRICS = ("return", "success_once", "success_at_end")
 """Scores of the evaluations during training that are kept."""
 TEST_FOLDER = "tests"
@@ -30,7 +32,8 @@ def run_row(name: str, run_dir: Path, state: str) -> Row:
         state: "finished" or "failed".
 
     Returns:
-        One row: identity, every option as JSON, machine, versions, commit and the metrics of training (see `training_metrics`).
+        One row: identity, every option as JSON, machine, versions, commit, fingerprint and the metrics of training (see
+        `training_metrics`).
         A run that failed before it had begun has little to tell.
     """
     row: Row = {"run": name, "state": state}
@@ -52,6 +55,7 @@ def run_row(name: str, run_dir: Path, state: str) -> Row:
         "versions": json.dumps(record["versions"], sort_keys=True),
         "commit": git.get("commit", ""),
         "dirty": git.get("dirty", ""),
+        **_fingerprint_columns([*record.get("earlier_fingerprints", []), record.get("fingerprint") or {}]),
     }
     return row | training_metrics(read_rows(run_dir / "metrics.jsonl"))
 
@@ -105,6 +109,7 @@ def test_rows(name: str, run_dir: Path) -> Iterator[Row]:
             "first_seed": test["first_seed"],
             "global_step": test["global_step"],
             "error": test.get("error", ""),
+            **_fingerprint_columns([test.get("fingerprint") or {}]),
             **test.get("mean", {}),
         }
 
@@ -130,6 +135,12 @@ def read_json(path: Path) -> Row:
     if not isinstance(found, dict):
         raise ValueError(f"{path}, line 1: damaged (no JSON object); move it away")
     return found
+
+
+def _fingerprint_columns(fingerprints: Iterable[Row]) -> Row:
+    """Return the parts of a fingerprint; of a run that went on with other code all that it had, joined by "+"."""
+    fingerprints = list(fingerprints)
+    return {part: "+".join(dict.fromkeys(found.get(part, "") for found in fingerprints)) for part in FINGERPRINT}
 
 
 def _curve(rows: list[Row], tag: str) -> Curve | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from maniskill_grpd.experiments.curves import Curve
-from maniskill_grpd.experiments.records import Row, curve_rows, run_row, test_rows
+from maniskill_grpd.experiments.records import FINGERPRINT, Row, curve_rows, run_row, test_rows
 from maniskill_grpd.experiments.study import Run
 
 FILES = {"runs": ("run",), "tests": ("run", "condition"), "curves": ("run", "step")}
@@ -19,7 +19,7 @@ FILES = {"runs": ("run",), "tests": ("run", "condition"), "curves": ("run", "ste
 STATES = ("finished", "failed")
 IDENTITY = {"run", "state", "env_id", "policy", "algorithm", "config", "condition", "env_kwargs", "error"}
 MACHINE = {"device", "device_name", "python", "versions", "commit", "dirty"}
-TEXT_COLUMNS = IDENTITY | MACHINE
+TEXT_COLUMNS = IDENTITY | MACHINE | set(FINGERPRINT)
 """Columns of any table that hold text; all others hold a number or nothing."""
 
 

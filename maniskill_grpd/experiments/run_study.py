@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from maniskill_grpd.experiments.fingerprints import Present
 from maniskill_grpd.experiments.job import Job
 from maniskill_grpd.experiments.launchers import LauncherConfig
 from maniskill_grpd.experiments.pages import ALL, DATA_FOLDER, write_study_page, write_summary_page
@@ -63,8 +64,12 @@ class StudyConfig(LauncherConfig):
         return [dataclasses.replace(study, train_options={**study.train_options, **given}) for study in studies]
 
 
-def run_study(config: StudyConfig) -> list[Job]:
+def run_study(config: StudyConfig, present: Present | None = None) -> list[Job]:
     """Run a study, or only list it, or only write its page.
+
+    Args:
+        config: Options.
+        present: What the present code says of a run; see `choose`.
 
     Returns:
         The jobs that failed.
@@ -87,7 +92,7 @@ def run_study(config: StudyConfig) -> list[Job]:
             failed = run_jobs(jobs, config, STUDY_RUNS)
         finally:
             save_jobs(jobs, config.output / DATA_FOLDER)
-    write_pages(config, studies)
+    write_pages(config, studies, present)
     return failed
 
 
@@ -97,8 +102,8 @@ def save_jobs(jobs: Sequence[Job], folder: Path) -> None:
     save_runs(folder, [(job.name, job.folder, "finished" if job.is_trained else "failed") for job in ended])
 
 
-def write_pages(config: StudyConfig, studies: Sequence[Study]) -> None:
+def write_pages(config: StudyConfig, studies: Sequence[Study], present: Present | None) -> None:
     """Write the pages of studies and the summary."""
     for study in studies:
-        print(f"page: {write_study_page(study, config.output, config.budget)}")
-    print(f"page: {write_summary_page(config.output)}")
+        print(f"page: {write_study_page(study, config.output, config.budget, present)}")
+    print(f"page: {write_summary_page(config.output, present=present)}")

@@ -8,9 +8,11 @@ import numpy as np
 
 from maniskill_grpd.experiments.claim import Claim, Finding, Side, judge
 from maniskill_grpd.experiments.curves import Curve
+from maniskill_grpd.experiments.fingerprints import Present
 from maniskill_grpd.experiments.results import Results
 from maniskill_grpd.experiments.statistics import Interval, bootstrap_interval, interquartile_mean
 from maniskill_grpd.experiments.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task, expert_run
+from maniskill_grpd.experiments.usable import choose
 
 BOOTSTRAP_SEED = 0
 """Every interval starts from this seed, so that a page written twice from the same data is the same."""
@@ -19,19 +21,32 @@ BOOTSTRAP_SEED = 0
 class StudyData:
     """Scores of a study.
 
-    Per task only runs of one budget are compared: the given one, or else the largest that has been run.
+    Per task only runs of one budget and of one code are compared: the given budget, or else the largest that has been run.
 
     Args:
         study: The study.
         results: All results.
         budget: Environment steps of the runs; None: the largest there are.
+        present: What the present code says of a run; see `choose`.
     """
 
-    def __init__(self, study: Study, results: Results, budget: int | None = None) -> None:
+    def __init__(self, study: Study, results: Results, budget: int | None = None, present: Present | None = None) -> None:
         self.study = study
         self.results = results
         budgets = [study.budget or budget] if study.budget or budget else _distinct(results, "budget")[::-1]
-        self._runs = {task.name: self._find_runs(task, budgets, _distinct(results, "seed")) for task in study.tasks}
+        found = {task.name: self._find_runs(task, budgets, _distinct(results, "seed")) for task in study.tasks}
+        self._usable = choose(results, found, present)
+        self.results = self._usable.results
+        self._runs = {name: [run for run in runs if run.name in self.results.runs] for name, runs in found.items()}
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """Runs and tests that must not be compared with the others, and why."""
+        return self._usable.left_out
+
+    def is_older(self, task: Task) -> bool:
+        """Return whether the runs on a task are of older code than the present one."""
+        return bool(self.runs(task)) and self._usable.code[task.name] != self._usable.present
 
     def runs(self, task: Task) -> list[Run]:
         """Return the runs on a task that are in the results, finished or failed."""
@@ -89,7 +104,9 @@ class StudyData:
         return [np.array(list(scores.values())) for scores in strata] if all(strata) else None
 
     def finding(self, claim: Claim) -> Finding:
-        """Compare a claim with the data."""
+        """Compare a claim with the data; sides of different code are not compared."""
+        if len({self._usable.code[task.name] for side in (claim.ours, claim.theirs) for task in self._tasks(side)}) > 1:
+            return Finding("not run")
         ours, theirs = self._side(claim.ours, claim.metric), self._side(claim.theirs, claim.metric)
         if ours is None or theirs is None:
             return Finding("not run")
@@ -101,11 +118,15 @@ class StudyData:
             return Finding("not run")
         return judge(claim, *arrays, np.random.default_rng(BOOTSTRAP_SEED))
 
+    def _tasks(self, side: Side) -> list[Task]:
+        return [task for task in self.study.tasks if side.task in (None, task.name)]
+
     def _side(self, side: Side, metric: str) -> list[dict[int, float]] | None:
         """Return the scores by seed on each task of a side, averaged over its conditions, balanced; None if some are missing."""
         (arm,) = (arm for arm in self.study.arms if arm.name == side.arm)
-        tasks = [task for task in self.study.tasks if side.task in (None, task.name)]
-        strata = _balanced([self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in tasks])
+        strata = _balanced(
+            [self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in self._tasks(side)]
+        )
         return strata if all(strata) else None
 
     def _mean_scores(self, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> dict[int, float]:

@@ -177,6 +177,10 @@ class Trainer:
         )
         self._start = time.perf_counter()
         self._steps_this_session = 0
+        self.start_episodes()
+
+    def start_episodes(self) -> None:
+        """Reset the environments and, in a new run, scale the observations."""
         self._reset_envs()
         if not self._has_scales:
             rollout, _ = self._collect("while warming up")
@@ -185,6 +189,12 @@ class Trainer:
 
     def run_iteration(self) -> None:
         """Collect, learn, log, evaluate and save once; `times` then tells how long each took."""
+        self._log(*self.collect_and_learn())
+        is_best = self._evaluate() if self._is_evaluation_due() else False
+        self._checkpoint(is_best)
+
+    def collect_and_learn(self) -> tuple[Rollout, dict[str, float], dict[str, float]]:
+        """Collect and learn once; return the rollout, means over the episodes that ended in it, and metrics of the update."""
         self.times.clear()
         with self._timed("rollout"):
             rollout, episodes = self._collect(f"in iteration {self.state.iteration}")
@@ -192,9 +202,7 @@ class Trainer:
         with self._timed("update"):
             self._estimate_advantages(rollout)
             losses = self._update(rollout)
-        self._log(rollout, episodes, losses)
-        is_best = self._evaluate() if self._is_evaluation_due() else False
-        self._checkpoint(is_best)
+        return rollout, episodes, losses
 
     def close(self) -> None:
         """Close the logs."""

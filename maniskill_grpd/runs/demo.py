@@ -15,7 +15,7 @@ import torch
 from maniskill_grpd.learning import TrainConfig, evaluate_policy
 from maniskill_grpd.runs.environments import make_vector_env
 from maniskill_grpd.runs.episodes import describe_episodes
-from maniskill_grpd.runs.fingerprint import describe_task
+from maniskill_grpd.runs.fingerprint import describe_training
 from maniskill_grpd.runs.folder import RUNS
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
 from maniskill_grpd.runs.record import write_run_record
@@ -58,7 +58,7 @@ def demonstrate(config: DemoConfig) -> dict[str, float]:
         env_kwargs=("graph_nodes=21",),
     )
     trainer = make_trainer(options, RUN_DIR)
-    write_run_record(RUN_DIR, options, trainer.envs.device, describe_task(options))
+    write_run_record(RUN_DIR, options, trainer.envs.device, describe_training(options))
 
     seeds = range(FIRST_TEST_SEED, FIRST_TEST_SEED + config.num_episodes)
     test_env = make_vector_env(options, min(64, config.num_episodes), partial_reset=False)

@@ -1,20 +1,96 @@
-"""The behaviour of a task as one number: equal before and after a change that must not change what it does."""
+"""What a run computes, as short hashes: equal before and after a change that must not change what it does.
+
+A fingerprint has four parts:
+
+- `solver`: the positions of a short rollout of the run's own task, fixed seeds and actions;
+- `task`: observations and rewards of that rollout;
+- `learner`: the weights of the run's own policy after one small update by its own algorithm;
+- `code`: the source of all that decides a run, without comments and docstrings, with the versions of the libraries.
+
+The first three are of bits: a change of the text alone leaves them, and they are comparable on one kind of processor only. The
+last one is the same on all machines, and changes with every rearrangement. Runs are of the same code if either says so.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any
 
 import gymnasium as gym
 import torch
+from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
-from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.runs.environments import make_env
+from maniskill_grpd.learning import TrainConfig, Trainer
+from maniskill_grpd.policies import make_policy
+from maniskill_grpd.runs.environments import make_vector_env
+from maniskill_grpd.runs.policy_options import fit_policy_options
+from maniskill_grpd.runs.source import fingerprint_code
 
-RECORD_WORLDS, RECORD_STEPS = 2, 5
-"""Size of the fingerprint in the record of a run, which is taken at the start of every training."""
+RECORD_WORLDS, RECORD_STEPS = 2, 10
+"""Size of the rollout behind the fingerprint of a task."""
+UPDATE_STEPS = 4
+"""Steps of the rollout that the fingerprint of a learner learns from."""
+FAST = 40.0
+"""How many times larger than in the run its steps are, so that they meet the bounds of its algorithm."""
+
+
+def describe_task(config: TrainConfig) -> dict[str, Any]:
+    """Return what the record of a run says about its task, with the run's options and on its device.
+
+    Returns:
+        "progress": name and unit of what measures how near the task is to being done; "fingerprint": solver, task and code.
+    """
+    envs = _make_worlds(config)
+    facts = {"progress": dataclasses.asdict(envs.unwrapped.PROGRESS), "fingerprint": _fingerprint_task(envs)}
+    envs.close()
+    return facts
+
+
+def describe_training(config: TrainConfig) -> dict[str, Any]:
+    """Return what `describe_task` does, and the fingerprint of the learner."""
+    envs = _make_worlds(config)
+    fingerprint = {**_fingerprint_task(envs), "learner": _fingerprint_learner(config, envs)}
+    progress = dataclasses.asdict(envs.unwrapped.PROGRESS)
+    envs.close()
+    return {"progress": progress, "fingerprint": fingerprint}
+
+
+def _make_worlds(config: TrainConfig) -> ManiSkillVectorEnv:
+    return make_vector_env(config, RECORD_WORLDS, partial_reset=config.partial_reset)
+
+
+def _fingerprint_task(envs: ManiSkillVectorEnv) -> dict[str, str]:
+    """Hash a short rollout, and the source."""
+    observed, positions = zip(*_roll_out(envs.unwrapped, RECORD_STEPS), strict=True)
+    hashes = {"solver": digest(itertools.chain(*positions)), "task": digest(itertools.chain(*observed))}
+    return {**hashes, "code": fingerprint_code()}
+
+
+def _fingerprint_learner(config: TrainConfig, envs: ManiSkillVectorEnv) -> str:
+    """Hash the weights after one update of the run's policy by its algorithm.
+
+    Sizes, seeds and the number of threads are fixed, steps are large; all else that says how it learns is the run's own.
+    """
+    small = dataclasses.replace(
+        config,
+        **{"seed": 0, "num_envs": RECORD_WORLDS, "num_steps": UPDATE_STEPS, "total_timesteps": RECORD_WORLDS * UPDATE_STEPS},
+        **{"num_minibatches": 2, "update_epochs": 2, "compile": False, "resume": None, "checkpoint": None},
+        **{"learning_rate": FAST * config.learning_rate},
+    )
+    num_threads = torch.get_num_threads()
+    with torch.random.fork_rng():
+        torch.set_num_threads(1)
+        torch.manual_seed(small.seed)
+        options = fit_policy_options(small.policy_options, envs)
+        policy = make_policy(small.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
+        trainer = Trainer(small, policy, envs)
+        trainer.start_episodes()
+        trainer.collect_and_learn()
+        torch.set_num_threads(num_threads)
+    return digest(policy.parameters())
 
 
 def hash_trajectories(env: gym.Env, num_steps: int) -> str:
@@ -29,29 +105,21 @@ def hash_trajectories(env: gym.Env, num_steps: int) -> str:
     Returns:
         See `digest`; over the observations of the reset, and observations, rewards and positions of every step.
     """
+    return digest(value for step in _roll_out(env, num_steps) for values in step for value in values)
+
+
+def _roll_out(env: gym.Env, num_steps: int) -> list[tuple[list[torch.Tensor], list[torch.Tensor]]]:
+    """Return, for the reset and every step, what is observed, rewards included, and the positions of all nodes after it."""
     base = env.unwrapped
     generator = torch.Generator().manual_seed(7)
     obs, _ = env.reset(seed=11)
-    seen = [value.clone() for value in tensors(obs)]
+    steps = [([value.clone() for value in tensors(obs)], [])]
     size = base.single_action_space.shape[0]
     for _ in range(num_steps):
         action = 2.0 * torch.rand(base.num_envs, size, generator=generator) - 1.0
         obs, reward, *_ = env.step(action)
-        seen += [value.clone() for value in (*tensors(obs), reward, base.solver.positions)]
-    return digest(seen)
-
-
-def describe_task(config: TrainConfig) -> dict[str, Any]:
-    """Return what the record of a run says about its task, with the run's options and on its device.
-
-    Returns:
-        "progress": name and unit of what measures how near the task is to being done; "fingerprint": the hash of short
-        trajectories.
-    """
-    env = make_env(config, RECORD_WORLDS)
-    facts = {"progress": dataclasses.asdict(env.unwrapped.PROGRESS), "fingerprint": hash_trajectories(env, RECORD_STEPS)}
-    env.close()
-    return facts
+        steps.append(([value.clone() for value in (*tensors(obs), reward)], [base.solver.positions.clone()]))
+    return steps
 
 
 def digest(values: Iterable[torch.Tensor]) -> str:

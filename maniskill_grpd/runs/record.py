@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,9 +17,8 @@ import maniskill_grpd
 from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.processor import processor_name
 from maniskill_grpd.runs.folder import check_name
+from maniskill_grpd.runs.versions import package_versions
 from maniskill_grpd.tasks.measurement import Metric
-
-_PACKAGES = ("mani-skill", "sapien", "warp-lang", "torch", "gymnasium", "numpy")
 
 
 class Recordable(Protocol):
@@ -50,23 +48,37 @@ def write_run_record(
         run_dir: Folder of the run; made where it is missing.
         config: Options of the run.
         device: Where the policy is trained.
-        task: What `describe_task` says about the task.
+        task: What `describe_task` or `describe_training` says.
         num_processes: Processes that train together.
     """
+    path = run_dir / "config.json"
     record = {
         "config": config.to_dict(),
         "command": sys.argv,
         "num_processes": num_processes,
         **task,
+        "earlier_fingerprints": _earlier_fingerprints(path, task["fingerprint"]),
         "device": str(device),
         "device_name": torch.cuda.get_device_name(device) if device.type == "cuda" else processor_name(),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "versions": {"maniskill_grpd": maniskill_grpd.__version__, **_package_versions()},
+        "versions": {"maniskill_grpd": maniskill_grpd.__version__, **package_versions()},
         "git": _git_state(),
     }
     run_dir.mkdir(parents=True, exist_ok=True)
-    write_aside(run_dir / "config.json", json.dumps(record, indent=2) + "\n")
+    write_aside(path, json.dumps(record, indent=2) + "\n")
+
+
+def _earlier_fingerprints(path: Path, fingerprint: Mapping[str, str]) -> list[Mapping[str, str]]:
+    """Return the other fingerprints of the code that wrote this record before: a run that goes on may go on with other code."""
+    if not path.exists():
+        return []
+    try:
+        record = _read_record(path)
+    except ValueError:  # a run goes on from its checkpoint even where its record is damaged
+        return []
+    found = [*record.get("earlier_fingerprints", []), record.get("fingerprint")]
+    return [earlier for earlier in found if earlier not in (None, fingerprint)]
 
 
 def write_aside(path: Path, text: str) -> None:
@@ -122,11 +134,6 @@ def _read_record(path: Path) -> dict[str, Any]:
     if not isinstance(record, dict) or not isinstance(record.get("config"), dict):
         raise ValueError(f"{path}: not the record of a run, it has no entry 'config'")
     return record
-
-
-def _package_versions() -> dict[str, str]:
-    installed = {item.metadata["Name"].replace("_", "-"): item.version for item in distributions()}
-    return {name: installed.get(name, "not installed") for name in _PACKAGES}
 
 
 def _git_state() -> dict[str, Any] | None:

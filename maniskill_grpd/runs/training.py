@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
-from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.learning.stopping import never
 from maniskill_grpd.learning.workers import Workers, join_workers
 from maniskill_grpd.policies import make_policy
 from maniskill_grpd.runs.environments import check_task, make_vector_env
-from maniskill_grpd.runs.fingerprint import describe_task
+from maniskill_grpd.runs.fingerprint import describe_training
 from maniskill_grpd.runs.folder import RUNS, hold_run
 from maniskill_grpd.runs.learning_curve import plot_learning_curve
+from maniskill_grpd.runs.policy_options import fit_policy_options
 from maniskill_grpd.runs.recommended import describe_settings
 from maniskill_grpd.runs.record import make_run_name, write_run_record
 from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
@@ -76,7 +74,7 @@ def _train_in(
     elif warm_start is not None:
         warm_start(trainer)
     if workers.is_first:
-        write_run_record(run_dir, config, trainer.envs.device, describe_task(config), workers.size)
+        write_run_record(run_dir, config, trainer.envs.device, describe_training(config), workers.size)
     trainer.train()
     if workers.is_first:
         finish(trainer)
@@ -114,22 +112,6 @@ def make_trainer(
             f"{config.batch_size:,} steps; {run_dir}"
         )
     return Trainer(config, policy, envs, eval_envs, run_dir, workers, should_stop)
-
-
-def fit_policy_options(options: dict[str, Any], envs: ManiSkillVectorEnv) -> dict[str, Any]:
-    """Give the policy a gripper output exactly where the task takes one.
-
-    Raises:
-        ValueError: If the options say otherwise.
-    """
-    has_grippers = envs.unwrapped.control_mode == "pd_ee_delta_pos_grip"
-    if options.get("gripper", has_grippers) != has_grippers:
-        takes = "opens and closes grippers" if has_grippers else "has fixed grasps"
-        raise ValueError(
-            f"policy_kwargs says gripper={json.dumps(options['gripper'])} but the task {takes}; leave it out, or "
-            "choose with --env_kwargs grasp=free (or grasp=fixed)"
-        )
-    return {**options, "gripper": has_grippers} if has_grippers else options
 
 
 def finish(trainer: Trainer) -> None:

@@ -13,6 +13,8 @@ from maniskill_grpd.experiments.study import AS_TRAINED, Run
 NOISY = Condition(sigma=0.1, factors={"sigma": 0.1})
 EASY = Task(env_id="Easy-v1", options={"resolution": 10}, conditions=(AS_TRAINED, NOISY))
 HARD = Task(env_id="Hard-v1", options={"resolution": 20})
+CODE = "0" * 16
+"""Fingerprint of the code of all runs."""
 OURS, THEIRS = Arm(name="ours"), Arm(name="theirs", policy="empn")
 STUDY = Study(
     name="toy",
@@ -69,10 +71,17 @@ def results_of(scores: dict[Run, dict[str, float]], failed: tuple[Run, ...] = ()
     """
     runs, tests, curves = {}, {}, {}
     for run, returns in scores.items():
-        runs[run.name] = {"run": run.name, "state": "finished", "seed": run.seed, "budget": run.budget, "device": "cpu"}
+        runs[run.name] = {
+            "run": run.name,
+            "state": "finished",
+            "seed": run.seed,
+            "budget": run.budget,
+            "device": "cpu",
+            "code": CODE,
+        }
         for condition, value in returns.items():
             key = (run.name, condition)
-            tests[key] = {"run": run.name, "condition": condition, "return": value, "success_at_end": value / 100}
+            tests[key] = {"run": run.name, "condition": condition, "return": value, "success_at_end": value / 100, "code": CODE}
         final = next(iter(returns.values()))
         curves[run.name] = [
             {"run": run.name, "step": run.budget * share // 2, "return": final * share / 2, "success_at_end": final * share / 200}
