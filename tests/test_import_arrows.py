@@ -17,16 +17,41 @@ ALLOWED = {
     "learning": {"learning", "graphs", "policies"},
     "experiments": {"experiments", "runs", "learning", "graphs", "policies", "program"},
     "agents": {"agents", "physics"},
-    "tasks": {"tasks", "agents", "graphs", "physics", "rendering"},
+    "viewer": {"viewer"},
+    "tasks": {"tasks", "agents", "graphs", "physics", "rendering", "viewer"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"trajectory", "tasks"},
     "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
     "imitation": {"imitation", "runs", "experts", "tasks", "trajectory", "learning", "policies", "graphs"},
-    "commands": {"commands", "program", "runs", "imitation", "experiments", "trajectory", "learning", "policies"},
+    "playing": {
+        "playing",
+        "viewer",
+        "runs",
+        "experts",
+        "trajectory",
+        "tasks",
+        "agents",
+        "learning",
+        "policies",
+        "graphs",
+        "physics",
+    },  # fmt: skip
+    "commands": {
+        "commands",
+        "program",
+        "playing",
+        "viewer",
+        "runs",
+        "imitation",
+        "experiments",
+        "trajectory",
+        "learning",
+        "policies",
+    },
 }
 SIMULATOR = {"mani_skill", "sapien", "gymnasium"}
-FREE_OF_SIMULATOR = {"physics", "rendering", "graphs", "policies", "learning", "experiments"}
-FREE_OF_WARP = {"graphs", "policies", "learning", "experiments"}
+FREE_OF_SIMULATOR = {"physics", "rendering", "graphs", "policies", "learning", "experiments", "viewer"}
+FREE_OF_WARP = {"graphs", "policies", "learning", "experiments", "viewer"}
 
 
 def imported_modules(path: Path, package: str) -> set[str]:

@@ -28,5 +28,5 @@ def test_a_wheel_holds_every_folder_of_the_package_and_says_that_it_has_types():
     found = set(find_packages(root, include=settings["packages"]["find"]["include"]))
     files = [path.relative_to(root) for path in (root / "maniskill_grpd").rglob("*") if path.is_file() and path.suffix != ".pyc"]
     assert {".".join(path.parent.parts) for path in files} == found
-    data = {path.name for path in files if path.suffix != ".py"}
-    assert data == set(settings["package-data"]["maniskill_grpd"]) == {"py.typed"}
+    data = {str(path.relative_to("maniskill_grpd")) for path in files if path.suffix != ".py"}
+    assert data == set(settings["package-data"]["maniskill_grpd"]) == {"py.typed", "viewer/replay_player.html"}

@@ -11,6 +11,7 @@ from maniskill_grpd.program import PROGRAM
 
 COMMANDS = {
     "train": "train a policy on a task, or resume a training",
+    "play": "watch an agent in a browser, pull at the object, move grippers by hand",
     "evaluate": "play a checkpoint on unseen start and goal poses",
     "evaluate_expert": "play the scripted expert of a task, the reference of its policies",
     "clone": "clone the expert of a task, and compare policies by it",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -41,9 +42,12 @@ def collider_body(collider: Collider) -> Body:
     Raises:
         ValueError: If it is a plane, which has no end.
     """
-    if collider.kind not in _BUILDERS:
-        raise ValueError(f"a {collider.kind.name.lower()} has no end; bodies are {[kind.name.lower() for kind in _BUILDERS]}")
-    return _BUILDERS[collider.kind](collider)
+    if collider.kind not in (*_UNIT, *_SHAPED):
+        ended = [kind.name.lower() for kind in (*_UNIT, *_SHAPED)]
+        raise ValueError(f"a {collider.kind.name.lower()} has no end; bodies are {ended}")
+    if collider.kind in _SHAPED:
+        return _SHAPED[collider.kind](collider)
+    return _unit_body(collider.kind)
 
 
 def table_body() -> Body:
@@ -80,19 +84,19 @@ def _long(across: np.ndarray, ends: np.ndarray, faces: np.ndarray) -> Body:
     return Body(basis, np.asarray(faces))
 
 
-def _box(_: Collider) -> Body:
+def _box() -> Body:
     mesh = trimesh.creation.box(extents=[2.0] * 3)
     return Body(mesh.vertices[:, :, None] * np.eye(3), np.asarray(mesh.faces))
 
 
-def _capsule(_: Collider) -> Body:
+def _capsule() -> Body:
     mesh = trimesh.creation.capsule(radius=1.0, height=2.0, count=[SECTIONS, SECTIONS // 2], transform=None)
     vertices = mesh.vertices.view(np.ndarray)
     ends = np.sign(vertices[:, 2])
     return _long(vertices - ends[:, None] * (0.0, 0.0, 1.0), ends, mesh.faces)
 
 
-def _cylinder(_: Collider) -> Body:
+def _cylinder() -> Body:
     mesh = trimesh.creation.cylinder(radius=1.0, height=2.0, sections=SECTIONS)
     return _long(mesh.vertices * (1.0, 1.0, 0.0), np.sign(mesh.vertices[:, 2]), mesh.faces)
 
@@ -104,16 +108,24 @@ def _prism(collider: Collider) -> Body:
     return _long(mesh.vertices * (1.0, 1.0, 0.0), np.sign(mesh.vertices[:, 2]), mesh.faces)
 
 
-def _sphere(_: Collider) -> Body:
+def _sphere() -> Body:
     mesh = trimesh.creation.icosphere(subdivisions=3)
     return _scaled(mesh.vertices, mesh.faces)
 
 
-_BUILDERS: dict[ColliderKind, Callable[[Collider], Body]] = {
+@cache
+def _unit_body(kind: ColliderKind) -> Body:
+    return _UNIT[kind]()
+
+
+_UNIT: dict[ColliderKind, Callable[[], Body]] = {
     ColliderKind.SPHERE: _sphere,
     ColliderKind.CAPSULE: _capsule,
     ColliderKind.BOX: _box,
     ColliderKind.CYLINDER: _cylinder,
+}
+"""Bodies that differ in nothing but their size."""
+_SHAPED: dict[ColliderKind, Callable[[Collider], Body]] = {
     ColliderKind.PRISM: _prism,
     ColliderKind.MESH: lambda collider: _scaled(collider.vertices, collider.faces),
 }

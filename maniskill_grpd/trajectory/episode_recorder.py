@@ -40,6 +40,11 @@ class EpisodeRecorder(RecordEpisode):
             action = torch.cat([common.to_tensor(action[agent]) for agent in self._agents], dim=-1)
         return super().step(action)
 
+    @property
+    def path(self) -> Path:
+        """The file of the trajectories."""
+        return self._h5_path
+
     def keep(self, worlds: np.ndarray) -> None:
         """Write the episodes of some worlds (b,)."""
         self.flush_trajectory(env_idxs_to_flush=worlds)

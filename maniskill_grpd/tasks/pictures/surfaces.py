@@ -165,11 +165,15 @@ def dashes(points: np.ndarray, length: float) -> list[np.ndarray]:
 
 def gripper_surfaces(drawing: Drawing) -> list[Surface]:
     """Return a ball for each closed gripper, and one cut in two halves that stand apart for each open one."""
-    ball, jaws = _ball(), _open_jaws()
     return [
-        (ball if is_closed else jaws).moved(position)
+        gripper_shape(is_closed=bool(is_closed)).moved(position)
         for position, is_closed in zip(drawing.grippers, drawing.closed, strict=True)
     ]
+
+
+def gripper_shape(*, is_closed: bool) -> Surface:
+    """Return a gripper at the origin, see `gripper_surfaces`."""
+    return _ball() if is_closed else _open_jaws()
 
 
 @lru_cache

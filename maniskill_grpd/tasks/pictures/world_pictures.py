@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -104,6 +104,12 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         return values[world, : self.model_of(world).num_nodes].cpu().numpy()
 
     @property
+    def viewpoint(self) -> tuple[Sequence[float], Sequence[float], float]:
+        """Where cameras stand and look by default [m], and their vertical field of view [rad]."""
+        own = (self.CAMERA_POSITION, self.CAMERA_TARGET, self.CAMERA_FOV)
+        return own if self._bases is None else self.ARM_CAMERA
+
+    @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
         return [self._camera("base_camera", 128, "minimal")]
 
@@ -113,8 +119,7 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         return self._camera("render_camera", size, "default")
 
     def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
-        own = (self.CAMERA_POSITION, self.CAMERA_TARGET, self.CAMERA_FOV)
-        eye, target, fov = own if self._bases is None else self.ARM_CAMERA
+        eye, target, fov = self.viewpoint
         pose = sapien_utils.look_at(eye=list(eye), target=list(target))
         return CameraConfig(uid, pose=pose, width=size, height=size, fov=fov, near=0.01, far=10.0, shader_pack=shader_pack)
 
