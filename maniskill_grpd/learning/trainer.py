@@ -119,6 +119,7 @@ class Trainer:
         """
         self.prepare()
         try:
+            self._evaluate_start()
             while self.state.iteration < self.config.num_iterations:
                 self.run_iteration()
                 self._stop_if_asked()
@@ -133,7 +134,7 @@ class Trainer:
         self._has_scales = True
 
     def keep_scales(self) -> None:
-        """Start with the scales of observations that the policy has, in place of those of a first rollout."""
+        """Start with the scales of observations that the policy was taught, in place of those of a first rollout."""
         self._has_scales = True
 
     def load_weights(self, path: str | Path) -> None:
@@ -276,6 +277,11 @@ class Trainer:
             self._log_file.add("train", self.state.iteration, self.state.global_step, metrics)
         self._progress.update(batch_size)
         self._progress.set_postfix_str(_progress_text(metrics, self.envs.unwrapped.PROGRESS.name))
+
+    def _evaluate_start(self) -> None:
+        """Evaluate a policy that was taught before its first step: curves begin with what it was taught."""
+        if self._has_scales and not self.state.iteration and self.config.eval_freq and self._evaluate():
+            self._save("best_ckpt.pt")
 
     def _is_evaluation_due(self) -> bool:
         iteration, config = self.state.iteration, self.config

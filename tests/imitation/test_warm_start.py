@@ -1,5 +1,7 @@
 """Training that clones demonstrations first."""
 
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -9,6 +11,7 @@ from maniskill_grpd.commands import train
 from maniskill_grpd.imitation import demonstrations as demonstrations_module
 from maniskill_grpd.imitation.recording import RecordConfig, record
 from maniskill_grpd.imitation.regression import relative_error
+from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.policies import policy_from_config
 from maniskill_grpd.runs.checkpoints import load_policy
 
@@ -74,6 +77,20 @@ def test_demonstrations_of_something_else_are_refused(env_id, env_kwargs, messag
     assert message in error
     assert "--env_id RopeShaping-v1" in error
     assert not (tmp_path / "runs/wrong/config.json").exists()
+
+
+def test_the_log_begins_with_what_was_cloned(rope_file, tmp_path, monkeypatch):
+    """The first evaluation is at step 0 and is of the policy before any update; one that was not taught has none there."""
+    monkeypatch.chdir(tmp_path)
+    evaluated = ["--eval_freq", "1", "--num_eval_envs", "3"]
+    still = ["--learning_rate", "1e-12", "--normalizer_freeze_steps", "0"]
+    assert train.main([*words("RopeShaping-v1", ROPE, rope_file, "--exp_name", "warm", *still), *evaluated]) == 0
+    fresh = ["--env_id", "RopeShaping-v1", "--env_kwargs", *ROPE, *SIZES.split(), "--exp_name", "fresh", *evaluated]
+    assert train.main(fresh) == 0
+    warm, fresh = (read_rows(Path("runs") / name / "metrics.jsonl", "eval") for name in ("warm", "fresh"))
+    assert [row["global_step"] for row in warm] == [0, 20]
+    assert warm[0]["eval/return"] == pytest.approx(warm[1]["eval/return"], rel=1e-3)
+    assert [row["global_step"] for row in fresh] == [20]
 
 
 def test_what_cannot_be_meant_is_refused(rope_file, tmp_path, monkeypatch, capsys):
