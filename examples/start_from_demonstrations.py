@@ -2,7 +2,7 @@
 
 python examples/start_from_demonstrations.py [--seeds 1 2 3] [--total_timesteps N] --json docs/results/data/demonstrations.json
 
-Records the expert of ClothHanging-v1, then trains from it with both algorithms: `train --demonstrations FILE --algorithm A
+Records the expert of RopeWrapping-v1, then trains from it with both algorithms: `train --demonstrations FILE --algorithm A
 --seed N`. With one seed both start from the same policy, whose values are untrained, so that the first advantages are noise. The
 file gets the evaluations of every run, the first of them that of the clone; runs that it holds already are not repeated.
 `python -m tools.docs` makes docs/results/demonstrations.md of it.
@@ -22,8 +22,8 @@ from maniskill_grpd.imitation.warm_start import start_from_demonstrations
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.runs.training import train
 
-ENV_ID = "ClothHanging-v1"
-ENV_KWARGS = ("resolution=64", "graph_nodes=25")
+ENV_ID = "RopeWrapping-v1"
+ENV_KWARGS = ("graph_nodes=21",)
 DEMONSTRATIONS = Path("demos/start_from_demonstrations")
 ALGORITHMS = ("bpp", "ppo")
 SETTINGS = "--eval_freq 1 --num_eval_envs 32 --no_capture_video --checkpoint_freq 1000"
@@ -40,7 +40,7 @@ def demonstrate(num_episodes: int) -> Path:
 def train_from(path: Path, algorithm: str, seed: int, total_timesteps: int) -> dict[str, Any]:
     """Train once; return what was run, the commit, and the evaluations by environment step."""
     choices = ["--algorithm", algorithm, "--seed", str(seed), "--total_timesteps", str(total_timesteps)]
-    words = ["--env_id", ENV_ID, "--demonstrations", str(path), *choices, *SETTINGS.split()]
+    words = ["--env_id", ENV_ID, "--env_kwargs", *ENV_KWARGS, "--demonstrations", str(path), *choices, *SETTINGS.split()]
     run_dir = train(parse_train_options(words), warm_start=start_from_demonstrations)
     rows = read_rows(run_dir / "metrics.jsonl")
     run = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
@@ -61,7 +61,7 @@ def main() -> None:
     """Train what the file does not hold yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3], help="seeds of clone and training")
-    parser.add_argument("--num_episodes", type=int, default=40, help="episodes that the expert demonstrates")
+    parser.add_argument("--num_episodes", type=int, default=100, help="episodes that the expert demonstrates")
     parser.add_argument("--total_timesteps", type=int, default=16_000, help="environment steps of each training")
     parser.add_argument("--json", type=Path, required=True, help="file of the runs")
     arguments = parser.parse_args()

@@ -23,8 +23,10 @@ ALLOWED = {
     "trajectory": {"trajectory", "tasks"},
     "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
     "imitation": {"imitation", "runs", "experts", "tasks", "trajectory", "learning", "policies", "graphs"},
+    "planning": {"planning", "runs", "tasks", "trajectory", "learning", "policies", "graphs"},
     "playing": {
         "playing",
+        "planning",
         "viewer",
         "runs",
         "experts",
@@ -40,6 +42,7 @@ ALLOWED = {
         "commands",
         "program",
         "playing",
+        "planning",
         "viewer",
         "runs",
         "imitation",

@@ -18,6 +18,7 @@ COMMANDS = {
     "study": "run one of the studies of the paper's claims, and write its page",
     "sweep": "train every combination of some options",
     "evaluate_study": "test a checkpoint under every condition of a study",
+    "plan": "play a task by planning in the simulation, from a policy or from nothing",
     "record": "record demonstrations of an expert in ManiSkill's trajectory format",
     "replay": "replay recorded trajectories, in another observation mode for instance",
     "inspect": "draw what a policy looks at",

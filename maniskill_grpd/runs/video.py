@@ -36,13 +36,12 @@ def record_video(policy: Policy, config: TrainConfig, seeds: Sequence[int], path
         raise ValueError(f"a video shows at most {MAX_DRAWN_WORLDS} episodes, got {len(seeds)} seeds")
     env = make_env(config, len(seeds), render_mode="rgb_array")
     frames: list[np.ndarray] = []
-    evaluate_policy(policy, env, seeds, on_step=lambda: frames.append(_frame(env.render())))
+    evaluate_policy(policy, env, seeds, on_step=lambda: frames.append(tile(env.render())))
     env.close()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return _write(frames, path, fps)
+    return write_frames(frames, path, fps)
 
 
-def _frame(images: torch.Tensor) -> np.ndarray:
+def tile(images: torch.Tensor) -> np.ndarray:
     """Return pictures (n, H, W, 3 or 4) in a grid, row by row, as uint8 (height, width, 3) with even sides, as codecs want it."""
     pictures = images.cpu().numpy()[..., :3].astype(np.uint8)
     columns = math.ceil(math.sqrt(len(pictures)))
@@ -54,7 +53,9 @@ def _frame(images: torch.Tensor) -> np.ndarray:
     return np.ascontiguousarray(grid[: len(grid) // 2 * 2, : columns * width // 2 * 2])
 
 
-def _write(frames: list[np.ndarray], path: Path, fps: int) -> Path:
+def write_frames(frames: list[np.ndarray], path: Path, fps: int = 20) -> Path:
+    """Write frames (height, width, 3) as an mp4, or as a gif of the same name where ffmpeg is missing; return the file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     try:
         import imageio_ffmpeg
 
