@@ -2,8 +2,8 @@
 
 python examples/compare_runs.py docs/results/rope_wrapping_bpp_*.jsonl --against docs/results/rope_wrapping_ppo_*.jsonl
 
-Each file is the metrics.jsonl of one run. Printed for both sides: the interquartile mean of the return over the last tenth of the
-training with its 95 % bootstrap interval, its standard deviation over seeds, the variance of the return over seeds (mean over all
+Each file is the metrics.jsonl of one run. Printed for both sides: the mean of the return over the last tenth of the
+training with its 95 % t interval, its standard deviation over seeds, the variance of the return over seeds (mean over all
 iterations), the largest KL of any state in any iteration, and the share of iterations whose return is over 20 % below that of
 the one before.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maniskill_grpd.experiments import bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments import estimate
 from maniskill_grpd.learning.run_log import read_rows
 
 COLLAPSE = 0.8
@@ -28,12 +28,13 @@ def describe(paths: list[Path]) -> dict[str, str]:
     length = min(len(rows) for rows in logs)
     returns = np.array([[row["train/return"] for row in rows[:length]] for rows in logs])  # (seeds, iterations)
     final = returns[:, -max(1, returns.shape[1] // 10) :].mean(axis=1)
-    low, high = bootstrap_interval(final, generator=np.random.default_rng(0))
+    mean = estimate(final)
+    low, high = mean.interval()
     collapses = returns[:, 1:] < COLLAPSE * returns[:, :-1]
     largest = max(row["losses/kl_raw_max"] for rows in logs for row in rows if "losses/kl_raw_max" in row)
     return {
         "seeds": f"{len(paths)}",
-        "final return (IQM, 95 %)": f"{interquartile_mean(final):.1f} ({low:.1f} to {high:.1f})",
+        "final return (mean, 95 %)": f"{mean.value:.1f} ({low:.1f} to {high:.1f})",
         "standard deviation of it over seeds": f"{final.std(ddof=1):.1f}",
         "variance over seeds, mean over training": f"{returns.var(axis=0, ddof=1).mean():.0f}",
         "largest KL of an update at a state [nats]": f"{largest:.1f}",

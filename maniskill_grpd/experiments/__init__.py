@@ -5,12 +5,7 @@ folders `records` reads into the rows of `results`; `study_data` picks what answ
 `tables`, `plots` and `pages` show it.
 """
 
-from maniskill_grpd.experiments.statistics import (
-    bootstrap_interval,
-    interquartile_mean,
-    performance_profile,
-    probability_of_improvement,
-)
+from maniskill_grpd.experiments.statistics import estimate, interquartile_mean, performance_profile, probability_of_improvement
 from maniskill_grpd.experiments.studies import STUDIES, find_study
 from maniskill_grpd.experiments.study import Arm, Condition, Run, Study, Task
 
@@ -21,7 +16,7 @@ __all__ = [
     "Run",
     "Study",
     "Task",
-    "bootstrap_interval",
+    "estimate",
     "find_study",
     "interquartile_mean",
     "performance_profile",

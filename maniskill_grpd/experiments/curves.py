@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maniskill_grpd.experiments.statistics import bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments.statistics import estimate
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Band:
-    """Interquartile mean over runs, with its interval, at common steps; arrays (P,)."""
+    """Mean over runs, with its t interval, at common steps; arrays (P,)."""
 
     steps: np.ndarray
     middle: np.ndarray
@@ -39,13 +39,11 @@ class Band:
     high: np.ndarray
 
 
-def efficiency_band(curves: Sequence[Curve], *, generator: np.random.Generator, num_resamples: int = 500) -> Band:
+def efficiency_band(curves: Sequence[Curve]) -> Band:
     """Summarise the curves of several runs where all of them have been measured.
 
     Args:
         curves: One for each run.
-        generator: Source of the bootstrap.
-        num_resamples: Resamples at each step.
 
     Returns:
         The band at the steps of the shortest curve; scores of the others are interpolated linearly. Without a second run the
@@ -53,9 +51,8 @@ def efficiency_band(curves: Sequence[Curve], *, generator: np.random.Generator, 
     """
     steps = min((curve.steps for curve in curves), key=lambda steps: steps[-1])
     scores = np.stack([np.interp(steps, curve.steps, curve.scores) for curve in curves])
-    intervals = [bootstrap_interval(column, generator=generator, num_resamples=num_resamples) for column in scores.T]
-    low, high = np.array(intervals).T
-    return Band(steps, interquartile_mean(scores, axis=0), low, high)
+    low, high = np.array([estimate(column).interval() for column in scores.T]).T
+    return Band(steps, scores.mean(axis=0), low, high)
 
 
 def mean_over_training(curve: Curve) -> float:

@@ -27,16 +27,13 @@ NOTES_FOLDER = "notes"
 
 VERDICTS = get_args(Verdict)
 READING = f"""\
-*figure here*: interquartile mean over seeds of each side, compared as the paper's figure is; *95 % interval*: stratified
-bootstrap, runs resampled within each task; *P(better)*: probability that a run of the first side scores more than one of the
-other. A claim holds or does not hold where the whole interval is on one side of what the claim needs: the right sign where it
-compares two arms, else the bound it names, or 85 % kept where the paper names none. With fewer than {MIN_RUNS} seeds, or an
-interval across that bound, it is undecided. Over all tasks each counts with as many seeds as the one that has the fewest.
-
-**Verdicts on three seeds are not safe.** The bootstrap interval of three runs goes from the smallest to the largest of them; of
-three normal draws that covers the mean in 75 % of cases, not in 95 %. Two arms that are equal are told apart, in the direction of
-the claim, in about 10 % of cases instead of 2.5 %, and there are many claims here. The paper has ten seeds; until then, read
-every verdict as a first impression."""
+*here*: mean over seeds of each side, compared as the paper's figure is; *95 % interval*: Welch's t interval, of ratios Fieller's,
+of the claim alone; *IQM*: the same of interquartile means, which the paper reports; *g*: the difference in deviations of a run
+(Hedges); *P(better)*: probability that a run of the first side scores more than one of the other; *p*: two-sided, uncorrected. A
+claim holds, or does not hold, where p is at most 0.05 after Holm's correction for all claims of its study, against what the claim
+needs: the right sign where it compares two arms, else the bound it names, or 85 % kept where the paper names none. Fewer than
+{MIN_RUNS} seeds on a side are points, not a verdict. Over all tasks each counts alike. [How far to trust
+this](../experiments.md)."""
 
 
 def write_study_page(study: Study, folder: Path, budget: int | None = None, present: Present | None = None) -> Path:
@@ -54,7 +51,7 @@ def write_study_page(study: Study, folder: Path, budget: int | None = None, pres
     data = StudyData(study, load_results(folder / DATA_FOLDER), budget, present)
     parts = [f"# {study.title}", study.question, _provenance(data), *_cautions(data)]
     if study.claims:
-        parts += ["## Claims", claim_table((claim, data.finding(claim)) for claim in study.claims), READING]
+        parts += ["## Claims", claim_table(data.findings()), READING]
     for metric in study.metrics:
         shown = METRICS[metric]
         parts += [f"## {shown.label.capitalize()}", f"{shown.meaning.capitalize()}.", score_table(data, metric)]
@@ -66,11 +63,13 @@ def write_study_page(study: Study, folder: Path, budget: int | None = None, pres
 def write_summary_page(folder: Path, budget: int | None = None, present: Present | None = None) -> Path:
     """Write README.md: the state of every study, and every claim of the paper with what the data say."""
     results = load_results(folder / DATA_FOLDER)
-    studies = [["study", "about", "steps", "runs finished", "failed", "claims that hold", "that do not", "undecided", NOT_RUN]]
+    studies = [
+        ["study", "about", "steps", "runs finished", "failed", "claims that hold", "that do not", "undecided", "points", NOT_RUN]
+    ]
     claims = []
     for study in STUDIES.values():
         data = StudyData(study, results, budget, present)
-        findings = [(claim, data.finding(claim)) for claim in study.claims]
+        findings = data.findings()
         verdicts = Counter(finding.verdict for _, finding in findings)
         states = Counter(results.state(run) for task in study.tasks for run in data.runs(task))
         budgets = sorted({data.budget(task) for task in study.tasks} - {None})

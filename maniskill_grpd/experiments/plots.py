@@ -1,4 +1,4 @@
-"""Pictures of a study, all in one style: an arm has the same colour everywhere, a band or a bar is a 95 % interval.
+"""Pictures of a study, all in one style: an arm has the same colour everywhere, a band or line is an interval, a point a run.
 
 A dashed line is the scripted expert on the task of the training.
 """
@@ -19,10 +19,10 @@ from maniskill_grpd.experiments.curves import efficiency_band
 from maniskill_grpd.experiments.metrics import METRICS
 from maniskill_grpd.experiments.statistics import performance_profile
 from maniskill_grpd.experiments.study import EXPERT, Arm, Condition, Task
-from maniskill_grpd.experiments.study_data import BOOTSTRAP_SEED, StudyData, conditions_of
+from maniskill_grpd.experiments.study_data import StudyData, Summary, conditions_of
 
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Okabe and Ito's colours, which people with colour blindness can tell apart, in the order of a study's arms."""
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#999999", "#f0e442", "#882255")
+"""Okabe and Ito's colours, which people with colour blindness can tell apart, and two more, in the order of a study's arms."""
 PANEL_SIZE = (3.6, 2.9)
 """Width and height of one panel [inch]."""
 PROFILE_THRESHOLDS = np.linspace(0.0, 1.0, 101)
@@ -43,6 +43,9 @@ def plot_bars(data: StudyData) -> Figure | None:
             middles, lows, highs = _summaries(data, task, arm, names, metric).T
             axis.bar(places, middles, width, color=COLORS[index], label=arm.name)
             axis.vlines(places, lows, highs, color="black", lw=1.0)
+            for place, name in zip(places, names, strict=True):
+                points = list(data.scores(task, arm, name, metric).values())
+                axis.plot([place] * len(points), points, ls="", marker=".", ms=3, color="0.2")
         _draw_expert(axis, data, task, metric)
         axis.set_xlim(-0.5, len(names) - 0.5)  # also where some arms have not been run
         axis.set_xticks(range(len(names)), names, **({"rotation": 20, "ha": "right"} if len(names) > 1 else {}))
@@ -118,7 +121,7 @@ def plot_heat_map(data: StudyData) -> Figure | None:
         for condition in conditions_of(task):
             summary = data.summary(task, arm, condition.name, metric)
             place = resolutions.index(task.factor("resolution", condition)), sigmas.index(task.factor("sigma", condition))
-            image[place] = np.nan if summary is None else summary[0]
+            image[place] = np.nan if summary is None else summary.mean
         _draw_image(axis, image)
         axis.set_xticks(range(len(sigmas)), [f"{sigma:g}" for sigma in sigmas])
         axis.set_yticks(range(len(resolutions)), [str(num) for num in resolutions])
@@ -144,7 +147,7 @@ def _summaries(data: StudyData, task: Task, arm: Arm, conditions: Sequence[str],
     for row, condition in zip(table, conditions, strict=True):
         summary = data.summary(task, arm, condition, metric)
         if summary is not None:
-            row[0], row[1:] = summary
+            row[0], row[1:] = summary.mean, summary.interval
     return table
 
 
@@ -152,7 +155,7 @@ def _draw_band(axis: Axes, data: StudyData, task: Task, arm: Arm, metric: str, c
     curves = data.curves(task, arm, metric)
     if not curves:
         return
-    band = efficiency_band(curves, generator=np.random.default_rng(BOOTSTRAP_SEED))
+    band = efficiency_band(curves)
     axis.plot(band.steps, band.middle, color=color, label=arm.name)
     axis.fill_between(band.steps, band.low, band.high, color=color, alpha=0.2, lw=0)
 
@@ -163,8 +166,8 @@ def _draw_expert(axis: Axes, data: StudyData, task: Task, metric: str) -> None:
         axis.axhline(score, color="0.4", ls="--", lw=1.0, label=EXPERT.name)
 
 
-def _draw_line(axis: Axes, places: Sequence[float], summaries: Sequence[Any], color: str, label: str) -> None:
-    found = [(place, *summary) for place, summary in zip(places, summaries, strict=True) if summary is not None]
+def _draw_line(axis: Axes, places: Sequence[float], summaries: Sequence[Summary | None], color: str, label: str) -> None:
+    found = [(place, *summary[:2]) for place, summary in zip(places, summaries, strict=True) if summary is not None]
     if not found:
         return
     x, y, intervals = (np.array(column) for column in zip(*found, strict=True))

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from maniskill_grpd.experiments.claim import Claim, Finding, Side, judge
+from maniskill_grpd.experiments.claim import MIN_RUNS, NOT_RUN, Claim, Finding, Side, decide, examine
 from maniskill_grpd.experiments.curves import Curve
 from maniskill_grpd.experiments.fingerprints import Present
 from maniskill_grpd.experiments.results import Results
-from maniskill_grpd.experiments.statistics import Interval, bootstrap_interval, interquartile_mean
+from maniskill_grpd.experiments.statistics import UNKNOWN, Interval, estimate
 from maniskill_grpd.experiments.study import AS_TRAINED_NAME, Arm, Condition, Run, Study, Task, expert_run
 from maniskill_grpd.experiments.usable import choose
 
-BOOTSTRAP_SEED = 0
-"""Every interval starts from this seed, so that a page written twice from the same data is the same."""
+
+class Summary(NamedTuple):
+    """Scores of several runs.
+
+    Attributes:
+        mean: Their mean.
+        interval: Its 95 % interval; nan below `MIN_RUNS` runs.
+        extremes: The smallest and the largest score; nan over several tasks.
+    """
+
+    mean: float
+    interval: Interval
+    extremes: tuple[float, float]
 
 
 class StudyData:
@@ -90,8 +102,8 @@ class StudyData:
         curves = [self.results.curve(run, metric) for run in self.finished(task, arm)]
         return [curve for curve in curves if curve is not None]
 
-    def summary(self, task: Task, arm: Arm, condition: str, metric: str) -> tuple[float, Interval] | None:
-        """Return the interquartile mean over seeds and its interval; None if nothing has been run."""
+    def summary(self, task: Task, arm: Arm, condition: str, metric: str) -> Summary | None:
+        """Return the mean over seeds and its interval; None if nothing has been run."""
         return summarize([np.array(list(self.scores(task, arm, condition, metric).values()))])
 
     def expert(self, task: Task, metric: str) -> float | None:
@@ -99,34 +111,37 @@ class StudyData:
         return self.results.score(expert_run(task), metric, AS_TRAINED_NAME)
 
     def pooled(self, arm: Arm, metric: str) -> list[np.ndarray] | None:
-        """Return the scores of an arm under the first condition of every task, balanced; None if a task is missing."""
-        strata = _balanced([self.scores(task, arm, first_condition(task), metric) for task in self.study.tasks])
+        """Return the scores of an arm under the first condition of every task; None if a task is missing."""
+        strata = [self.scores(task, arm, first_condition(task), metric) for task in self.study.tasks]
         return [np.array(list(scores.values())) for scores in strata] if all(strata) else None
 
-    def finding(self, claim: Claim) -> Finding:
+    def findings(self) -> list[tuple[Claim, Finding]]:
+        """Compare all claims of the study with the data, and decide them together."""
+        claims = self.study.claims
+        return list(zip(claims, decide([self._finding(claim) for claim in claims]), strict=True))
+
+    def _finding(self, claim: Claim) -> Finding:
         """Compare a claim with the data; sides of different code are not compared."""
         if len({self._usable.code[task.name] for side in (claim.ours, claim.theirs) for task in self._tasks(side)}) > 1:
-            return Finding("not run")
+            return NOT_RUN
         ours, theirs = self._side(claim.ours, claim.metric), self._side(claim.theirs, claim.metric)
         if ours is None or theirs is None:
-            return Finding("not run")
+            return NOT_RUN
         if claim.is_paired:
             both = [sorted(x.keys() & y.keys()) for x, y in zip(ours, theirs, strict=True)]
             ours, theirs = ([{s: x[s] for s in seeds} for x, seeds in zip(side, both, strict=True)] for side in (ours, theirs))
         arrays = [[np.array(list(scores.values())) for scores in side] for side in (ours, theirs)]
         if not all(len(runs) for side in arrays for runs in side):
-            return Finding("not run")
-        return judge(claim, *arrays, np.random.default_rng(BOOTSTRAP_SEED))
+            return NOT_RUN
+        return examine(claim, *arrays)
 
     def _tasks(self, side: Side) -> list[Task]:
         return [task for task in self.study.tasks if side.task in (None, task.name)]
 
     def _side(self, side: Side, metric: str) -> list[dict[int, float]] | None:
-        """Return the scores by seed on each task of a side, averaged over its conditions, balanced; None if some are missing."""
+        """Return the scores by seed on each task of a side, averaged over its conditions; None if some are missing."""
         (arm,) = (arm for arm in self.study.arms if arm.name == side.arm)
-        strata = _balanced(
-            [self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in self._tasks(side)]
-        )
+        strata = [self._mean_scores(task, arm, side.conditions or (first_condition(task),), metric) for task in self._tasks(side)]
         return strata if all(strata) else None
 
     def _mean_scores(self, task: Task, arm: Arm, conditions: Sequence[str], metric: str) -> dict[int, float]:
@@ -145,18 +160,14 @@ def conditions_of(task: Task) -> tuple[Condition, ...]:
     return task.conditions or (Condition(),)
 
 
-def summarize(strata: Sequence[np.ndarray]) -> tuple[float, Interval] | None:
-    """Return the interquartile mean of scores (R,) of each task and its interval; None if a task has none."""
+def summarize(strata: Sequence[np.ndarray]) -> Summary | None:
+    """Return the mean of scores (R,) of each task and its interval, unknown below `MIN_RUNS` runs; None if a task has none."""
     if not all(len(stratum) for stratum in strata):
         return None
-    generator = np.random.default_rng(BOOTSTRAP_SEED)
-    return float(interquartile_mean(np.concatenate(strata))), bootstrap_interval(strata, generator=generator)
-
-
-def _balanced(strata: Sequence[dict[int, float]]) -> list[dict[int, float]]:
-    """Keep of each task as many seeds, the lowest, as the task with the fewest has, or one with more would weigh more."""
-    count = min(len(scores) for scores in strata)
-    return [dict(sorted(scores.items())[:count]) for scores in strata]
+    found = estimate(strata)
+    is_enough = min(map(len, strata)) >= MIN_RUNS
+    extremes = (float(strata[0].min()), float(strata[0].max())) if len(strata) == 1 else UNKNOWN
+    return Summary(found.value, found.interval() if is_enough else UNKNOWN, extremes)
 
 
 def _distinct(results: Results, column: str) -> list[int]:

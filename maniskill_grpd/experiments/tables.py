@@ -8,9 +8,8 @@ import numpy as np
 
 from maniskill_grpd.experiments.claim import Claim, Finding
 from maniskill_grpd.experiments.metrics import METRICS
-from maniskill_grpd.experiments.statistics import Interval
 from maniskill_grpd.experiments.study import AS_TRAINED, EXPERT, Arm, Task
-from maniskill_grpd.experiments.study_data import StudyData, conditions_of, summarize
+from maniskill_grpd.experiments.study_data import StudyData, Summary, conditions_of, summarize
 
 NOT_RUN = "not run"
 FAILED = "failed"
@@ -19,8 +18,9 @@ FAILED = "failed"
 def score_table(data: StudyData, metric: str) -> str:
     """Return a table of one metric: a row for each task and condition, a column for each arm.
 
-    Cells hold the interquartile mean over seeds and its 95 % interval, "not run" or "failed". If every arm has been run on
-    every one of several tasks, a last row pools them as trained. A last column has the expert, where it has been played.
+    Cells hold the mean over seeds and its 95 % interval, of fewer than ten its smallest and largest, "not run" or "failed". If
+    every arm has been run on every one of several tasks, a last row has the mean over tasks as trained. A last column has the
+    expert, where it has been played.
     """
     arms = data.study.arms
     rows = [["task", "condition", "steps", "seeds", *(arm.name for arm in arms)]]
@@ -55,10 +55,10 @@ def score_cell(data: StudyData, task: Task, arm: Arm, condition: str, metric: st
     return FAILED if data.has_failed(task, arm, condition) else NOT_RUN
 
 
-def claim_table(claims: Iterable[tuple[Claim, Finding]]) -> str:
+def claim_table(findings: Iterable[tuple[Claim, Finding]]) -> str:
     """Return a table that sets the paper's figures beside ours."""
-    rows = [["claim", "on", "paper", "figure there", "figure here", "95 % interval", "seeds", "P(better)", "verdict"]]
-    for claim, finding in claims:
+    rows = [["claim", "on", "paper", "figure there", "here", "95 % interval", "IQM", "g", "P(better)", "seeds", "p", "verdict"]]
+    for claim, finding in findings:
         tasks = dict.fromkeys(side.task or "all tasks" for side in (claim.ours, claim.theirs))
         rows.append([claim.text, " against ".join(tasks), claim.source, claim.paper, *_finding_cells(claim, finding)])
     return markdown_table(rows, num_text_columns=3)
@@ -66,20 +66,31 @@ def claim_table(claims: Iterable[tuple[Claim, Finding]]) -> str:
 
 def _finding_cells(claim: Claim, finding: Finding) -> list[str]:
     if finding.verdict == "not run":
-        return ["-", "-", "0", "-", NOT_RUN]
+        return ["-", "-", "-", "-", "-", "0", "-", NOT_RUN]
     low, high = finding.interval
     interval = f"{claim.format(low)} to {claim.format(high)}" if np.isfinite([low, high]).all() else "-"
-    better = f"{finding.better:.2f}" if claim.measure in ("gain", "difference") else "-"
-    return [claim.format(finding.value), interval, str(finding.num_runs), better, finding.verdict]
+    return [
+        claim.format(finding.value),
+        interval,
+        claim.format(finding.middle),
+        f"{finding.effect:+.1f}" if np.isfinite(finding.effect) else "-",
+        f"{finding.better:.2f}" if claim.measure in ("gain", "difference") else "-",
+        str(finding.num_runs),
+        "-" if np.isnan(finding.p_value) else f"{finding.p_value:.3f}",
+        finding.verdict,
+    ]
 
 
-def format_summary(summary: tuple[float, Interval] | None, decimals: int) -> str:
-    """Return "mean [low, high]", without an interval where there is none."""
+def format_summary(summary: Summary | None, decimals: int) -> str:
+    """Return "mean [low, high]", or "mean (smallest-largest)" of too few runs for an interval."""
     if summary is None:
         return NOT_RUN
-    value, (low, high) = summary
-    text = f"{value:.{decimals}f}"
-    return f"{text} [{low:.{decimals}f}, {high:.{decimals}f}]" if np.isfinite([low, high]).all() else text
+    text = f"{summary.mean:.{decimals}f}"
+    low, high = summary.interval
+    if np.isfinite([low, high]).all():
+        return f"{text} [{low:.{decimals}f}, {high:.{decimals}f}]"
+    smallest, largest = summary.extremes
+    return text if not largest > smallest else f"{text} ({smallest:.{decimals}f}-{largest:.{decimals}f})"
 
 
 def markdown_table(rows: Sequence[Sequence[str]], num_text_columns: int) -> str:

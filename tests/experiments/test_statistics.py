@@ -1,14 +1,97 @@
-"""Statistics of few runs, against values worked out by hand."""
+"""Statistics of few runs, against values worked out by hand and against scipy."""
+
+import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from maniskill_grpd.experiments import bootstrap_interval, interquartile_mean, performance_profile, probability_of_improvement
-from maniskill_grpd.experiments.statistics import resampled_interval
+from maniskill_grpd.experiments import estimate, interquartile_mean, performance_profile, probability_of_improvement
+from maniskill_grpd.experiments.statistics import contrast, deviations, effect_size, holm, ratio_interval
+
+RNG = np.random.default_rng(0)
+OURS, THEIRS = RNG.normal(3.0, 1.0, 12), RNG.normal(2.0, 0.3, 10)
 
 
-def generator():
-    return np.random.default_rng(0)
+def test_interval_of_a_mean_is_that_of_student():
+    # Scores 0, 1, 2: mean 1, deviation 1, error 1 / sqrt(3), and t of two degrees of freedom is 4.3027 at 97.5 %.
+    low, high = estimate(np.array([0.0, 1.0, 2.0])).interval()
+    assert (low + high) / 2 == pytest.approx(1.0)
+    assert (high - low) / 2 == pytest.approx(4.3027 / math.sqrt(3), abs=1e-4)
+
+
+def test_every_task_counts_alike_however_many_runs_it_has():
+    found = estimate([np.array([1.0, 3.0]), np.array([10.0, 10.0, 10.0, 10.0])])
+    assert found.value == pytest.approx((2.0 + 10.0) / 2)
+    # variance of the first mean 2 / 2 = 1, of the second 0; of their mean 1 / 4, with the one degree of freedom of the first
+    assert found.error == pytest.approx(0.5)
+    assert found.degrees == pytest.approx(1.0)
+
+
+def test_p_values_of_a_difference_are_those_of_welch():
+    found = contrast([OURS], [THEIRS], 1.0, is_paired=False)
+    expected = stats.ttest_ind(OURS, THEIRS, equal_var=False, alternative="greater")
+    assert found.p_above() == pytest.approx(expected.pvalue)
+    interval = stats.ttest_ind(OURS, THEIRS, equal_var=False).confidence_interval(0.95)
+    assert found.interval() == pytest.approx((interval.low, interval.high))
+
+
+def test_paired_runs_are_compared_one_by_one():
+    ours = THEIRS + np.linspace(0.1, 0.2, len(THEIRS))
+    found = contrast([ours], [THEIRS], 1.0, is_paired=True)
+    assert found.p_above() == pytest.approx(stats.ttest_rel(ours, THEIRS, alternative="greater").pvalue)
+    assert found.error < contrast([ours], [THEIRS], 1.0, is_paired=False).error / 3
+
+
+@pytest.mark.parametrize("is_paired", [False, True])
+def test_ends_of_a_ratio_are_the_factors_at_which_the_contrast_may_be_zero(is_paired):
+    ours = OURS[: len(THEIRS)]
+    for end in ratio_interval([ours], [THEIRS], is_paired=is_paired):
+        found = contrast([ours], [THEIRS], end, is_paired=is_paired)
+        assert min(found.p_above(), 1.0 - found.p_above()) == pytest.approx(0.025, abs=1e-6)
+
+
+def test_a_ratio_to_what_may_be_zero_is_not_known():
+    assert np.isnan(ratio_interval([OURS], [RNG.normal(size=10)], is_paired=False)).all()
+
+
+def test_a_ratio_without_spread_is_certain():
+    assert ratio_interval([np.full(10, 3.0)], [np.full(10, 2.0)], is_paired=False) == (1.5, 1.5)
+
+
+@pytest.mark.parametrize(("value", "expected"), [(2.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
+def test_scores_without_spread_are_above_a_bound_or_not(value, expected):
+    assert estimate(np.full(10, value)).p_above(1.0) == expected
+
+
+def test_one_run_says_nothing_about_the_spread():
+    for scores in (np.array([0.5]), [np.array([0.5]), np.array([0.1, 0.2])]):
+        assert np.isnan(estimate(scores).interval()).all()
+        assert np.isnan(estimate(scores).p_above())
+
+
+def test_bad_input_is_explained():
+    with pytest.raises(ValueError, match="at least one run"):
+        estimate([np.array([1.0, 2.0]), np.array([])])
+    with pytest.raises(ValueError, match=r"within \(0, 1\), got 95"):
+        estimate(np.arange(4.0)).interval(95)
+
+
+def test_holm_counts_the_smallest_as_often_as_there_are():
+    # 0.01 * 3, then max(0.03, 0.02 * 2), then max(0.04, 0.5)
+    np.testing.assert_allclose(holm([0.02, 0.5, 0.01]), [0.04, 0.5, 0.03])
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_effect_is_the_difference_in_deviations():
+    # means 3 and 1, pooled deviation sqrt(2), four runs: the correction is 1 - 3 / 7
+    assert effect_size([np.array([2.0, 4.0])], [np.array([0.0, 2.0])], is_paired=False) == pytest.approx(2 / math.sqrt(2) * 4 / 7)
+    assert math.isnan(effect_size([np.ones(3)], [np.zeros(3)], is_paired=False))
+
+
+def test_deviations_are_from_the_median():
+    np.testing.assert_array_equal(deviations(np.array([1.0, 2.0, 10.0])), [1.0, 0.0, 8.0])
 
 
 def test_interquartile_mean_cuts_a_quarter_at_each_end():
@@ -21,86 +104,9 @@ def test_up_to_three_scores_are_averaged_and_of_four_two_are(scores, expected):
     assert interquartile_mean(np.array(scores)) == expected
 
 
-def test_interquartile_mean_pools_tasks_or_keeps_them_apart():
-    scores = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0]])
-    # pooled and sorted 1 2 3 4 10 20 30 40: (3 + 4 + 10 + 20) / 4
-    assert interquartile_mean(scores) == 9.25
-    np.testing.assert_array_equal(interquartile_mean(scores, axis=0), [2.5, 25.0])
-
-
 def test_no_scores_have_no_interquartile_mean():
     with pytest.raises(ValueError, match="at least one score"):
         interquartile_mean(np.array([]))
-
-
-def test_interval_of_two_runs_is_their_range():
-    # Resamples are {0, 0}, {0, 1}, {1, 0}, {1, 1} with probability 1/4 each: the 2.5 % and 97.5 % quantiles are 0 and 1.
-    assert bootstrap_interval(np.array([0.0, 1.0]), generator=generator()) == (0.0, 1.0)
-
-
-def test_interval_of_the_mean_is_that_of_the_binomial_distribution():
-    # Half ones among 100: resampled means are Binomial(100, 1/2) / 100, whose central 95 % lie in [0.40, 0.60].
-    scores = np.repeat([0.0, 1.0], 50)
-    low, high = bootstrap_interval(scores, np.mean, generator=generator(), num_resamples=20_000)
-    assert low == pytest.approx(0.40, abs=0.011)
-    assert high == pytest.approx(0.60, abs=0.011)
-
-
-def test_resampling_stays_within_tasks():
-    # Tasks differ, runs of a task do not: resampling across tasks would give an interval, within tasks there is none.
-    easy, hard = np.full(5, 1.0), np.full(5, 0.0)
-    assert bootstrap_interval([easy, hard], generator=generator()) == (0.5, 0.5)
-    low, high = bootstrap_interval(np.concatenate([easy, hard]), generator=generator())
-    assert low < 0.5 < high
-
-
-def test_the_generator_alone_decides_the_interval():
-    scores = np.random.default_rng(1).normal(size=10)
-    first, second = (bootstrap_interval(scores, generator=generator()) for _ in range(2))
-    assert first == second
-    assert first != bootstrap_interval(scores, generator=np.random.default_rng(1))
-
-
-def test_interval_covers_the_truth_about_as_often_as_it_says():
-    rng = np.random.default_rng(2)
-    hits = 0
-    for _ in range(200):
-        low, high = bootstrap_interval(rng.normal(size=40), np.mean, generator=rng, confidence=0.8, num_resamples=200)
-        hits += low <= 0.0 <= high
-    # 0.8 * 200 = 160 with a standard deviation of 5.7; the percentile bootstrap of 40 samples is a little narrow.
-    assert 140 <= hits <= 180
-
-
-def test_one_run_has_no_interval():
-    assert np.isnan(bootstrap_interval(np.array([0.5]), generator=generator())).all()
-    assert np.isnan(bootstrap_interval([np.array([0.5]), np.array([0.1, 0.2])], generator=generator())).all()
-
-
-def test_bad_input_is_explained():
-    with pytest.raises(ValueError, match="at least one run"):
-        bootstrap_interval([np.array([1.0, 2.0]), np.array([])], generator=generator())
-    with pytest.raises(ValueError, match=r"within \(0, 1\), got 95"):
-        bootstrap_interval(np.arange(4.0), generator=generator(), confidence=95)
-
-
-def test_the_interval_of_three_runs_goes_from_the_smallest_to_the_largest():
-    # Of the 27 equally likely resamples one is all smallest: 3.7 % of them, more than the 2.5 % that are cut.
-    # It misses the middle of a symmetric distribution where all three lie on one side of it: 2 / 2^3 = 25 %.
-    assert bootstrap_interval(np.array([7.0, 1.0, 2.0]), generator=generator()) == (1.0, 7.0)
-
-
-def test_equal_arms_of_three_runs_are_told_apart_four_times_too_often():
-    """What every page says of verdicts on three seeds."""
-    draws, trials = generator(), 1000
-    ahead = 0
-    for ours, theirs in draws.normal(size=(trials, 2, 3)):
-        low, _ = resampled_interval([ours, theirs], _gain, generator=draws, num_resamples=500)
-        ahead += low > 0.0
-    assert 0.07 < ahead / trials < 0.13  # 0.10 with a standard error of 0.01; nominal 0.025
-
-
-def _gain(ours, theirs, axis):
-    return ours.mean(axis) - theirs.mean(axis)
 
 
 def test_probability_of_improvement_counts_pairs():

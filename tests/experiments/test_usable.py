@@ -115,13 +115,13 @@ def test_runs_that_are_not_whole_are_left_out(results, change, reason):
 def test_sides_of_different_code_are_not_compared():
     scores = {run_of(task, arm, seed): {"as trained": 1.0} for task in (EASY, HARD) for arm in (OURS, THEIRS) for seed in (1, 2)}
     results = results_of(scores)
-    assert StudyData(STUDY, results).finding(STUDY.claims[2]).verdict != "not run"
+    assert StudyData(STUDY, results).findings()[2][1].verdict != "not run"
     for table in (results.runs.values(), results.tests.values()):
         for row in table:
             row["code"] = "1" * 16 if row["run"].startswith("Hard") else CODE
     data = StudyData(STUDY, results)
     assert data.left_out == {}
-    assert data.finding(STUDY.claims[2]).verdict == "not run"
+    assert data.findings()[2][1].verdict == "not run"
 
 
 def test_a_page_says_what_is_older_and_what_is_left_out(results, tmp_path):
