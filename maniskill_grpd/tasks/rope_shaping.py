@@ -121,7 +121,7 @@ class RopeShapingEnv(DeformableEnv, BaseEnv):
             shapes: Several of these, from which each episode draws one; instead of `goal_shape`.
             graph_nodes: Number of nodes in the graph, 21 by default and None for all. Policies that
                 see every other node of the default rope learn in less time and no worse
-                (docs/results/rope_shaping.md).
+                (docs/results/earlier/rope_shaping.md).
             settings: Options of `DeformableEnv`; `num_grippers` is 2, 3 or 4 (default).
 
         Raises:
