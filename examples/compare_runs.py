@@ -1,6 +1,7 @@
 """Compare trainings of two algorithms on the same task: return, spread over seeds, size of updates, collapses.
 
-python examples/compare_runs.py docs/results/earlier/rope_wrapping_bpp_*.jsonl --against docs/results/earlier/rope_wrapping_ppo_*.jsonl
+cd docs/results/earlier
+python ../../../examples/compare_runs.py rope_wrapping_bpp_*.jsonl --against rope_wrapping_ppo_*.jsonl
 
 Each file is the metrics.jsonl of one run. Printed for both sides: the mean of the return over the last tenth of the
 training with its 95 % t interval, its standard deviation over seeds, the variance of the return over seeds (mean over all

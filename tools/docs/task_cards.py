@@ -18,8 +18,8 @@ GOAL_SHAPES_COMMAND = (
 POLICIES = ("random", "still", "push", "expert")
 EXPERT_LIMITS = """\
 The expert of RopeShaping-v1 was measured on the W, its default goal. Other shapes it lays less well: of 50 episodes each
-it lays no S and no spiral, of W, U, L and O 98 to 100 % ([results/earlier/unseen_shapes.md](results/earlier/unseen_shapes.md)). An S can
-be laid: a policy trained on the W does so in 89 % of 200 episodes ([results/earlier/rope_shaping.md](results/earlier/rope_shaping.md)).
+it lays no S and no spiral, of W, U, L and O 98 to 100 % ([measured earlier](results/earlier/unseen_shapes.md)). An S can
+be laid: a policy trained on the W does so in 89 % of 200 episodes ([measured earlier](results/earlier/rope_shaping.md)).
 No policy has laid a spiral reliably."""
 
 
