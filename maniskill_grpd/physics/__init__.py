@@ -8,6 +8,7 @@ nothing of gymnasium or ManiSkill.
 from maniskill_grpd.physics.cloth import ClothMaterial, cloth, cloth_from_file, cloth_from_mesh
 from maniskill_grpd.physics.colliders import Collider, box, capsule, cylinder, plane, prism, sphere, triangle_mesh
 from maniskill_grpd.physics.fields import STANDARD_GRAVITY
+from maniskill_grpd.physics.links import Link
 from maniskill_grpd.physics.mesh.curves import resample_polyline
 from maniskill_grpd.physics.mesh.outlines import (
     circle_outline,
@@ -25,6 +26,7 @@ __all__ = [
     "STANDARD_GRAVITY",
     "ClothMaterial",
     "Collider",
+    "Link",
     "Model",
     "RopeMaterial",
     "Solver",

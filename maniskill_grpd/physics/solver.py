@@ -14,6 +14,7 @@ from maniskill_grpd.physics.kernels.data import Colliders, Objects, Worlds
 from maniskill_grpd.physics.kernels.step import build_step_kernel
 from maniskill_grpd.physics.launches import Launches, choose_block_dim, choose_num_threads, quiet_warp
 from maniskill_grpd.physics.leashes import NO_LEASH
+from maniskill_grpd.physics.links import Link, LinkMotions
 from maniskill_grpd.physics.model import Model
 from maniskill_grpd.physics.scratch import WorldGroups, allocate_self_contacts, allocate_ways
 from maniskill_grpd.physics.tugs import Tugs
@@ -61,6 +62,8 @@ class Solver(Grasps, Tugs):
             `grip_strength`. The gripper stays closed, and holds nothing until it has been opened and closes again.
         crossed_owners, crossed_elements: Contacts with itself whose elements have passed through each other, -1 for none,
             (B, N) int32: number of a node, or N plus that of an edge, and of a triangle or edge, in the order of the kernel.
+        links: Capsules that move with the arms of grippers.
+        link_motions: Where the links of arms are before and after the next step, see `LinkMotions`; no part of the state.
         frozen: Worlds that went non-finite, (B,) bool. They keep their last finite state and are skipped until reset.
 
         dropped_contacts: How often since its reset a world had more contacts with itself than there is room for, (B,) int32. The
@@ -83,6 +86,7 @@ class Solver(Grasps, Tugs):
         num_threads: int | None = None,
         colliders: Sequence[Collider] = (),
         self_collision: bool = False,
+        links: Sequence[Link] = (),
         patch_radius: float = 0.0,
         capture_radius: float = 0.03,
         grip_strength: float | None = None,
@@ -100,6 +104,7 @@ class Solver(Grasps, Tugs):
             num_threads: CPU threads that share the worlds; by default all cores, but at least 16 worlds per thread.
             colliders: Obstacles that every world has, at the origin until `collider_positions` says otherwise.
             self_collision: Let objects collide with themselves.
+            links: Capsules that move with the arms of grippers and that the object touches; `link_motions` says where they are.
             patch_radius: Grippers hold all nodes within this distance [m] of the one they close at; 0 holds that node alone, as
                 a pivot.
             capture_radius: Distance [m] from which `set_closed` catches a node.
@@ -133,7 +138,7 @@ class Solver(Grasps, Tugs):
         self.control_dt = control_dt
         self.substeps = tuple(entry.default_substeps if substeps is None else substeps for entry in models)
         self.set_grippers(patch_radius, capture_radius, grip_strength)
-        self._features = choose_features(self.models, self.colliders, self_collision)
+        self._features = choose_features(self.models, self.colliders, self_collision, len(links) > 0)
         with quiet_warp():
             wp.init()
             self._groups = WorldGroups(
@@ -146,6 +151,8 @@ class Solver(Grasps, Tugs):
                 in_lanes=self._advances_lanes(),
                 device=self.device,
             )
+            self.links = tuple(links)
+            self.link_motions = LinkMotions(links, num_worlds, self._groups.count, self.num_nodes, self.device)
             commands = self._record_commands(choose_num_threads(num_threads, num_worlds, self.device))
         self._launches = Launches(commands, self.device)
 
@@ -289,7 +296,7 @@ class Solver(Grasps, Tugs):
         timings = upload_timings(self.substeps, self.control_dt, device)
         contacts.dropped = wp.from_torch(self.dropped_contacts, dtype=wp.int32)
         self._uploaded = [objects, colliders, meshes, worlds, contacts]  # alive as long as launches refer to it
-        self._inputs = [objects, colliders, worlds, self._groups.data, contacts, timings]
+        self._inputs = [objects, colliders, worlds, self._groups.data, contacts, self.link_motions.data, timings]
         num_threads = min(num_threads, self._groups.count)
         return [self._record_command(part, num_threads, 0, 1) for part in range(num_threads)]
 

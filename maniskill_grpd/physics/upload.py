@@ -17,7 +17,7 @@ from maniskill_grpd.physics.model import Model
 SEARCHES_PER_STEP = 10
 
 
-def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool) -> Features:
+def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool, has_links: bool) -> Features:
     """Return what the kernel must be able to do."""
     return Features(
         ropes=any(model.is_rope for model in models),
@@ -28,6 +28,7 @@ def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self
         tethers=any(np.isfinite(model.max_strain) for model in models),
         colliders=len(colliders) > 0,
         self_contact=self_collision,
+        links=has_links,
     )
 
 

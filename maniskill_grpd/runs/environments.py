@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 from mani_skill.utils.registration import REGISTERED_ENVS
+from mani_skill.utils.wrappers.flatten import FlattenActionSpaceWrapper
 from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig
@@ -21,6 +22,8 @@ NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
 def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
     """Make the task of a run as a plain batched ManiSkill environment.
 
+    Actions are one row per environment also where several agents share the grippers: theirs side by side, in their order.
+
     Args:
         config: Names the task, its options and the simulation backend.
         num_envs: Number of environments.
@@ -31,7 +34,7 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
     """
     given = {"obs_mode": "graph", **config.env_options, **options}
     check_task(config.env_id, given)
-    return gym.make(
+    env = gym.make(
         config.env_id,
         num_envs=num_envs,
         sim_backend=config.sim_backend,
@@ -39,6 +42,7 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
         enhanced_determinism=True,
         **given,
     )
+    return FlattenActionSpaceWrapper(env) if isinstance(env.action_space, gym.spaces.Dict) else env
 
 
 def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) -> ManiSkillVectorEnv:

@@ -114,7 +114,7 @@ def _roll_out(env: gym.Env, num_steps: int) -> list[tuple[list[torch.Tensor], li
     generator = torch.Generator().manual_seed(7)
     obs, _ = env.reset(seed=11)
     steps = [([value.clone() for value in tensors(obs)], [])]
-    size = base.single_action_space.shape[0]
+    size = env.action_space.shape[-1]
     for _ in range(num_steps):
         action = 2.0 * torch.rand(base.num_envs, size, generator=generator) - 1.0
         obs, reward, *_ = env.step(action)

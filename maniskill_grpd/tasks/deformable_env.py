@@ -11,12 +11,13 @@ import sapien
 import torch
 from mani_skill.utils.structs.types import SimConfig
 
+from maniskill_grpd.agents.arms import ARMS, arm_links
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
 from maniskill_grpd.tasks.observation.observed_worlds import GRAPH_FEATURES, ObservedWorlds
 from maniskill_grpd.tasks.options.arm_bases import arm_bases
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
-from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, control_modes, supported_robots
+from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, control_modes, members, supported_robots
 from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.num_envs import check_num_envs
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
@@ -69,6 +70,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             are then a dictionary with one entry per agent. Or a tuple of arms, one for each gripper, as in ("panda", "panda")
             (docs/robots.md).
         robot_poses: Where arms stand, see `arm_bases`; round the middle of the table by default.
+        arm_contact: Whether the object touches the hands, the fingers and the last two links of arms.
         grasp: "fixed" (default): grippers hold the object for the whole episode; "free": they hold
             it at the start, and the action opens and closes them.
         control_mode: "pd_ee_delta_pos" for fixed grasps, "pd_ee_delta_pos_grip" for free ones; arms have others too.
@@ -115,6 +117,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         num_grippers: int | None = None,
         robot_uids: Team | None = None,
         robot_poses: Any | None = None,
+        arm_contact: bool = True,
         grasp: str | None = None,
         control_mode: str | None = None,
         material: Mapping[str, float | Sequence[float]] | None = None,
@@ -135,6 +138,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         check_num_envs(num_envs)
         self.num_grippers, team = choose_team(num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS)
         self._bases = arm_bases(team, robot_poses)
+        self._links = arm_links([ARMS[uid] for uid in members(team)]) if arm_contact and self._bases is not None else ()
         self.grasp, control_mode = choose_grasp(grasp, control_mode, control_modes(team))
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
@@ -260,6 +264,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             num_threads=self._num_threads,
             colliders=self.build_colliders(),
             self_collision=self.SELF_COLLISION,
+            links=self._links,
         )
         self.start_nodes = torch.zeros(self.num_envs, self.num_grippers, dtype=torch.int64, device=self.device)
         systems: list[sapien.System] = [sapien.physx.PhysxCpuSystem()]

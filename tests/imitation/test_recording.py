@@ -33,6 +33,19 @@ def test_experts_record_successes_that_replay_from_state_and_from_actions(env_id
         replayed.unlink()
 
 
+def test_teams_of_arms_record_and_replay_too(tmp_path):
+    task = ["--env_id", "RopeWrapping-v1", "--env_kwargs", 'robot_uids=["panda", "panda"]', "pose_range=quarter"]
+    assert record.main([*task, "--num_episodes", "2", "--output", str(tmp_path), "--sim_backend", "cpu"]) == 0
+    path = tmp_path / "trajectory.h5"
+    replay(["--traj-path", str(path), "--save-traj", "-o", "state"])
+    with h5py.File(path) as original, h5py.File(path.with_name("trajectory.state.pd_ee_delta_pos.warp_cpu.h5")) as file:
+        assert len(file) == 2
+        for name in file:
+            for agent in ("panda-agent-0", "panda-agent-1"):
+                states = [f[name][f"env_states/articulations/{agent}"] for f in (original, file)]
+                np.testing.assert_array_equal(*states)
+
+
 def test_episodes_that_fail_are_not_glued_to_the_next_ones_that_succeed(tmp_path, monkeypatch):
     """They once stayed in the recorder, and the next episode of their world was written behind them."""
     evaluate = RopeShapingEnv.evaluate

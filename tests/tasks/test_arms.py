@@ -56,13 +56,13 @@ def test_grippers_are_the_tools_of_the_arms(make_arms, task, num):
 
 def test_what_arms_can_follow_they_do_to_the_bit(make_arms):
     """The same actions through arms and by floating grippers that hold the same nodes: the same cloth, until an arm cannot."""
-    arms = make_arms(num_envs=4, pose_range="quarter")
+    arms = make_arms(num_envs=4, pose_range="quarter", arm_contact=False)
     floating = gym.make("ClothFolding-v1", num_envs=4, num_grippers=2, sim_backend="cpu", num_threads=1, pose_range="quarter")
     arms.reset(seed=3), floating.reset(seed=3)
     grippers = floating.unwrapped
     grippers.solver.set_state(arms.solver.state())
     for step in range(10):
-        actions = act(arms, step, 0.5)
+        actions = act(arms, step, 0.1)
         *_, info = arms.step(actions)
         grippers.step(torch.cat([actions[key] for key in KEYS], dim=1))
     assert (info["tracking_error"] == 0).all()

@@ -80,11 +80,9 @@ class ArmArticulation(KinematicArticulation):
             rotations.copy_(_turned(turns, rotations))
 
     def command_joints(self, targets: torch.Tensor) -> None:
-        """Tell the joints of the arm where to go, (B, number of them) [rad]: as far as limits and speeds allow."""
+        """Tell the joints of the arm where to go, (B, number of them) [rad]: as far as limits, speeds and accelerations allow."""
         bodies, arm, num = self.bodies, self.arm, self.num_arm_joints
-        way = bodies.speeds[arm, :num] * self.px.timestep
-        low = torch.maximum(bodies.lower[arm, :num], self.qpos - way)
-        high = torch.minimum(bodies.upper[arm, :num], self.qpos + way)
+        low, high = (bound[:, arm, :num] for bound in bodies.next_range())
         for goals in (bodies.seeds, bodies.postures):
             goals[:, arm, :num] = targets.clamp(low, high)
         tools = bodies.forward(bodies.seeds)[:, arm]

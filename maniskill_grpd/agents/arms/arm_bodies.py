@@ -10,12 +10,16 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms.arm_description import ArmDescription
+from maniskill_grpd.agents.arms.capsules import arm_links, column_capsule, link_capsules
 from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms, follow_kernel
 from maniskill_grpd.agents.arms.placing import forward, place
 from maniskill_grpd.agents.arms.urdf import REVOLUTE as TURNS
 from maniskill_grpd.physics import Solver
 from maniskill_grpd.physics.launches import Launches, choose_num_threads, quiet_warp
+from maniskill_grpd.physics.links import LinkMotions
 
+UNLIMITED = 1.0e6
+"""Acceleration of joints for which none is given [rad/s^2]."""
 REACHED = 1.0e-3
 """Distance [m] from a point at which an arm that is put there has come to it."""
 
@@ -37,6 +41,8 @@ class ArmBodies:
         postures: What joints are drawn to as far as TCPs leave them free, (B, A, J).
         rotations: Quaternions (x, y, z, w) of the hands, (B, A, 4): those wanted, and after a step those there are.
         errors: How far each TCP missed in the last step where object and obstacles would have let it go, (B, A) [m].
+        refused: Whether an arm stood still in the last step, because its links would have come into the table or into another
+            arm's base, or because object, obstacles and arms of its world found no agreement, (B, A) bool.
     """
 
     def __init__(self, descriptions: Sequence[ArmDescription], solver: Solver, bases: np.ndarray) -> None:
@@ -60,12 +66,21 @@ class ArmBodies:
         self.rotations = torch.zeros(*shape, 4, device=device)
         self.rotations[..., 3] = 1.0
         self.errors = torch.zeros(shape, device=device)
+        self.refused = torch.zeros(shape, dtype=torch.bool, device=device)
         self._wanted, self._reached = (torch.zeros(*shape, 3, device=device) for _ in range(2))
+        self._link_motions = self._choose_links()
         self._tools = torch.zeros(*shape, 7, device=device)
         with quiet_warp():
             wp.init()
             self._arms = self._fill_struct()
             self._follow = self._record_follow()
+
+    def _choose_links(self) -> LinkMotions:
+        """Return where links are written: to what the object meets, or aside where it meets none."""
+        solver, links = self._solver, arm_links(self.descriptions)
+        if solver.links:
+            return solver.link_motions
+        return LinkMotions(links, solver.num_worlds, 1, 1, solver.device)
 
     @property
     def lower(self) -> torch.Tensor:
@@ -81,6 +96,20 @@ class ArmBodies:
     def speeds(self) -> torch.Tensor:
         """Largest speeds of the joints, (A, J) [rad/s]."""
         return self._constants["speeds"]
+
+    @property
+    def accelerations(self) -> torch.Tensor:
+        """Largest accelerations of the joints, (A, J) [rad/s^2]."""
+        return self._constants["accelerations"]
+
+    def next_range(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the smallest and largest positions of the joints after the next control step, each (B, A, J) [rad]."""
+        duration = self._solver.control_dt
+        gain = self.accelerations * duration
+        fastest = torch.minimum(self.speeds, self.qvel.clamp(min=0.0) + gain)
+        slowest = torch.maximum(-self.speeds, self.qvel.clamp(max=0.0) - gain)
+        low = torch.maximum(self.lower, self.qpos + slowest * duration)
+        return low, torch.minimum(self.upper, self.qpos + fastest * duration)
 
     def follow(self) -> None:
         """Move all arms by one control step after the targets of the grippers, and these targets to where the TCPs get."""
@@ -111,6 +140,7 @@ class ArmBodies:
         self.postures[worlds, arms] = self.rest[arms]
         self.qvel[worlds, arms] = 0.0
         self.errors[worlds, arms] = 0.0
+        self.refused[worlds, arms] = False
         self.rotations[worlds, arms] = self.forward(self.qpos)[worlds, arms, 3:]
 
     def hold_rotation(self, arms: slice, is_held: bool) -> None:
@@ -123,6 +153,7 @@ class ArmBodies:
         """Tabulate the chains, padded to J joints that do not move."""
         shape = (len(self.descriptions), NUM_JOINTS)
         tables = {name: np.zeros(shape, dtype=np.float32) for name in ("lower", "upper", "speeds", "rest")}
+        tables["accelerations"] = np.full(shape, UNLIMITED, dtype=np.float32)
         kinds, axes = np.full(shape, int(FIXED), dtype=np.int32), np.zeros((*shape, 3), dtype=np.float32)
         offsets, tools = np.tile(np.eye(4), (*shape, 1, 1)), np.tile(np.eye(4), (shape[0], 1, 1))
         for arm, description in enumerate(self.descriptions):
@@ -132,9 +163,12 @@ class ArmBodies:
             axes[own] = [joint.axis for joint in joints]
             tables["lower"][own], tables["upper"][own] = [joint.lower for joint in joints], [joint.upper for joint in joints]
             tables["speeds"][own], tables["rest"][own] = [joint.speed for joint in joints], description.rest_qpos
+            if description.accelerations is not None:
+                tables["accelerations"][own] = description.accelerations
             offsets[own], tools[arm] = description.offsets[:-1], description.offsets[-1]
         arrays = {
             **tables,
+            **self._tabulate_capsules(),
             "kinds": kinds,
             "axes": axes,
             "offsets": _as_transforms(offsets),
@@ -143,15 +177,45 @@ class ArmBodies:
         }
         return {name: torch.as_tensor(array, device=device) for name, array in arrays.items()}
 
+    def _tabulate_capsules(self) -> dict[str, np.ndarray]:
+        """Tabulate the links that are capsules, padded to as many for each arm, and the columns of the bases."""
+        capsules = [link_capsules(description) for description in self.descriptions]
+        shape = (len(capsules), max(len(entry) for entry in capsules))
+        joints, links = np.full(shape, -1, dtype=np.int32), np.zeros(shape, dtype=np.int32)
+        ends, radii = np.zeros((*shape, 2, 3), dtype=np.float32), np.zeros(shape, dtype=np.float32)
+        is_fingers = np.zeros(shape, dtype=np.int32)
+        first = 0
+        for arm, entry in enumerate(capsules):
+            own = (arm, slice(len(entry)))
+            joints[own], is_fingers[own] = [link.joint for link in entry], [link.is_fingers for link in entry]
+            ends[own], radii[own] = [link.capsule.ends for link in entry], [link.capsule.radius for link in entry]
+            links[own] = first + np.arange(len(entry))
+            first += len(entry)
+        columns = [column_capsule(description) for description in self.descriptions]
+        return {
+            "capsule_joints": joints,
+            "capsule_links": links,
+            "capsule_is_fingers": is_fingers,
+            "capsule_ends": ends.reshape(shape[0], -1, 3),
+            "capsule_radii": radii,
+            "column_ends": np.stack([column.ends for column in columns]).astype(np.float32),
+            "column_radii": np.array([column.radius for column in columns], dtype=np.float32),
+        }
+
     def _fill_struct(self) -> Arms:
         arms = Arms()
         own = {
             **self._constants,
-            **{name: getattr(self, name) for name in ("bases", "qpos", "qvel", "seeds", "postures", "rotations", "errors")},
+            **{
+                name: getattr(self, name)
+                for name in ("bases", "qpos", "qvel", "seeds", "postures", "rotations", "errors", "refused")
+            },
             **{"next": self._next, "wanted": self._wanted, "reached": self._reached},
         }
         types = {"axes": wp.vec3, "offsets": wp.transform, "tools": wp.transform, "bases": wp.transform, "rotations": wp.quat}
         types |= {"wanted": wp.vec3, "reached": wp.vec3, "kinds": wp.int32, "holds_rotation": wp.int32}
+        types |= {"capsule_joints": wp.int32, "capsule_links": wp.int32, "capsule_is_fingers": wp.int32}
+        types |= {"capsule_ends": wp.vec3, "column_ends": wp.vec3, "refused": wp.bool}
         for name, tensor in own.items():
             setattr(arms, name, _warp(tensor, types.get(name, wp.float32)))
         return arms
@@ -164,7 +228,7 @@ class ArmBodies:
             wp.launch(
                 follow_kernel(bool(solver.colliders)),
                 dim=len(range(first, solver.num_worlds, count)),
-                inputs=[self._arms, *solver.kernel_data, solver.control_dt, first, count],
+                inputs=[self._arms, *solver.kernel_data, self._link_motions.data, solver.control_dt, first, count],
                 device=str(solver.device),
                 record_cmd=True,
             )

@@ -32,6 +32,8 @@ class ArmDescription:
     """Where the joints of the chain are drawn to as far as the task of the arm leaves them free [rad], from the base."""
     finger_joints: tuple[str, ...] = ()
     """Joints of fingers, which close to their lower and open to their upper limits."""
+    accelerations: tuple[float, ...] | None = None
+    """Largest acceleration of each joint of the chain [rad/s^2], which URDF files do not have; None for any."""
 
     def __post_init__(self) -> None:
         """Refuse a description that its file does not fit.
@@ -53,8 +55,17 @@ class ArmDescription:
                 )
             if not joint.speed > 0.0:
                 raise ValueError(f"joint {joint.name} of {self.urdf} has no largest velocity; a kinematic arm needs one")
+        if self.accelerations is not None:
+            self._check_accelerations(self.accelerations)
         if unknown := [name for name in self.finger_joints if name not in self.robot.joints]:
             raise ValueError(f"{self.urdf} has no joints {unknown}; it has {', '.join(self.robot.joints)}")
+
+    def _check_accelerations(self, accelerations: tuple[float, ...]) -> None:
+        count = len(self.arm_joints)
+        if len(accelerations) != count or not all(value > 0.0 for value in accelerations):
+            raise ValueError(
+                f"accelerations of {self.uid!r} must be {count} numbers > 0, one for each joint, got {accelerations}"
+            )
 
     @cached_property
     def robot(self) -> Robot:
@@ -108,6 +119,7 @@ PANDA = register_arm(
         tcp_link=Panda.ee_link_name,
         rest_qpos=tuple(float(q) for q in Panda.keyframes["rest"].qpos[: len(Panda.arm_joint_names)]),
         finger_joints=tuple(Panda.gripper_joint_names),
+        accelerations=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # Franka's data sheet
     )
 )
 """Franka's arm with seven joints and two fingers, as ManiSkill describes it."""
@@ -117,6 +129,7 @@ XARM7 = register_arm(
         urdf=_ROBOTS / "xarm7/xarm7.urdf",
         tcp_link="link_eef",
         rest_qpos=tuple(float(q) for q in XArm7Ability.keyframes["rest"].qpos[:7]),
+        accelerations=(20.0,) * 7,  # UFACTORY's data sheet: 1145 degrees/s^2
     )
 )
 """UFACTORY's arm with seven joints and no hand: its flange holds the object."""

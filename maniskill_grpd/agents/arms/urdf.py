@@ -40,7 +40,7 @@ class Joint:
         return transform(np.eye(3), position * self.axis if self.motion == PRISMATIC else np.zeros(3))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shape:
     """A mesh or a box that stands for a part of a link, in its frame."""
 

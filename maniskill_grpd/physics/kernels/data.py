@@ -53,6 +53,7 @@ class Features:
     tethers: bool = False
     colliders: bool = False
     self_contact: bool = False
+    links: bool = False
 
 
 @wp.struct
@@ -132,6 +133,19 @@ class PlacedCollider:
     size: wp.vec3
     position: wp.vec3
     rotation: wp.quat
+
+
+@wp.struct
+class Links:
+    """The L links of arms: capsules that belong to grippers and move; bits of numbers say which of them nodes may touch."""
+
+    owners: wp.array(dtype=int)
+    radii: wp.array(dtype=float)
+    starts: wp.array2d(dtype=wp.vec3)  # both ends of their axes before a control step, (B, 2 L)
+    ends: wp.array2d(dtype=wp.vec3)  # and after it
+    near: wp.array2d(dtype=int)
+    pinched: wp.array2d(dtype=int)  # between whose fingers nodes lie
+    near_any: wp.array2d(dtype=int)  # in any world of a group
 
 
 @wp.struct

@@ -18,6 +18,7 @@ from maniskill_grpd.physics.kernels.data import (
     Colliders,
     Features,
     LaneGroups,
+    Links,
     Objects,
     SelfContacts,
     SingleGroups,
@@ -27,6 +28,7 @@ from maniskill_grpd.physics.kernels.data import (
 )
 from maniskill_grpd.physics.kernels.grippers import find_ways, limit_gripper_targets, stop_grippers
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
+from maniskill_grpd.physics.kernels.links import find_near_links, project_links
 from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
 from maniskill_grpd.physics.kernels.self_contact import project_self_contacts
 from maniskill_grpd.physics.kernels.stretch import load_tensions, project_sheet_line, pull_sheet_line, store_tensions
@@ -129,6 +131,7 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         worlds: Worlds,
         groups: group_type,
         contacts: SelfContacts,
+        links: Links,
         timings: wp.array(dtype=Timing),
         first_group: int,
         group_stride: int,
@@ -151,6 +154,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         timing = timings[thread.variant]
         num_nodes = objects.node_counts[thread.variant]
         load_group(thread, timing, objects, colliders, worlds, groups)
+        if wp.static(features.links):
+            find_near_links(thread, timing, objects, worlds, groups, links)
+            synchronize_block()
         for substep in range(timing.num_substeps):
             if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
                 if substep % timing.search_interval == 0:
@@ -164,6 +170,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             project_material(thread, timing, objects, worlds, groups)
             if wp.static(features.colliders or features.self_contact):
                 project_contacts(thread, objects, colliders, worlds, groups, contacts)
+            if wp.static(features.links):
+                project_links(thread, substep, timing, objects, worlds, groups, links)
             # The table last, so that no substep ends below it.
             for node in range(thread.first, num_nodes, thread.stride):
                 settle_node(group, node, objects.radii[thread.variant], timing.dt, groups)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
-import trimesh
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms import ArmArticulation
+from maniskill_grpd.agents.arms.capsules import shape_mesh
 from maniskill_grpd.agents.arms.urdf import Shape, transform
 from maniskill_grpd.tasks.pictures.drawing import Solid
 
@@ -20,20 +18,9 @@ def arm_solids(arm: ArmArticulation, world: int) -> tuple[Solid, ...]:
     qpos = dict(zip(names, arm.get_qpos()[world].tolist(), strict=True))
     root = transform(Rotation.from_quat(base[3:]).as_matrix(), base[:3])
     frames = arm.description.robot.frames(root, qpos)
-    return tuple(
-        _placed(shape, frames[link] @ shape.origin) for link, shapes in arm.description.robot.shapes.items() for shape in shapes
-    )
+    return tuple(_placed(shape, frames[link]) for link, shapes in arm.description.robot.shapes.items() for shape in shapes)
 
 
 def _placed(shape: Shape, frame: np.ndarray) -> Solid:
-    vertices, faces = _mesh(shape.file, tuple(shape.size))
+    vertices, faces = shape_mesh(shape)
     return Solid(vertices @ frame[:3, :3].T + frame[:3, 3], faces)
-
-
-@cache
-def _mesh(file: str | None, size: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    if file is None:
-        mesh = trimesh.creation.box(size)
-        return mesh.vertices.view(np.ndarray), mesh.faces.view(np.ndarray)
-    mesh = trimesh.load(file, force="mesh")
-    return mesh.vertices.view(np.ndarray) * np.array(size), mesh.faces.view(np.ndarray)

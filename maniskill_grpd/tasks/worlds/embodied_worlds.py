@@ -111,7 +111,12 @@ class EmbodiedWorlds(BaseEnv):
         """Return what `info` says of arms, as copies: nothing where there are none."""
         if self.scene.arms is None:
             return {}
-        return {"tracking_error": self.scene.arms.errors.amax(dim=1), "num_redrawn": self.num_redrawn.clone()}
+        arms = self.scene.arms
+        return {
+            "tracking_error": arms.errors.amax(dim=1),
+            "num_refused": arms.refused.sum(dim=1),
+            "num_redrawn": self.num_redrawn.clone(),
+        }
 
 
 @cache

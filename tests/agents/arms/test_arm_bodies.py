@@ -6,7 +6,9 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms import ARMS, ArmBodies
+from maniskill_grpd.agents.arms.capsules import column_capsule, fit_capsule, link_capsules, shape_mesh
 from maniskill_grpd.physics import Solver, rope
+from maniskill_grpd.tasks.options.arm_bases import arm_bases
 
 UIDS = ("panda", "xarm7")
 ALL = slice(0, 2)
@@ -17,7 +19,8 @@ def make_arms(num_worlds, uids=UIDS):
     solver = Solver(rope([[-0.4, 0], [0.4, 0]], num_nodes=20), num_worlds, len(uids), num_threads=1)
     bases = np.tile(np.eye(4), (len(uids), 1, 1))
     bases[:, :3, :3] = Rotation.random(len(uids), random_state=1).as_matrix()
-    bases[:, :3, 3] = np.random.default_rng(1).normal(size=(len(uids), 3))
+    bases[:, :3, 3] = np.random.default_rng(1).normal(size=(len(uids), 3)) + 3.0 * np.arange(len(uids))[:, None]
+    solver.plane[:, 3] = -10.0  # neither the table nor the other base is in the way
     arms = ArmBodies([ARMS[uid] for uid in uids], solver, bases)
     start(arms, solver, arms.qpos.clone())
     return arms, solver
@@ -93,7 +96,7 @@ def test_tcps_follow_their_targets_and_hands_keep_their_rotation(is_held):
     arms.hold_rotation(ALL, is_held)
     start(arms, solver, near_rest(arms, 200))
     rotations = arms.rotations.clone()
-    wanted = solver.gripper_positions + 0.01 * random_directions(200, 2)
+    wanted = solver.gripper_positions + 0.003 * random_directions(200, 2)  # from rest, with what the joints may accelerate
     solver.gripper_targets.copy_(wanted)
     arms.follow()
     followed = (solver.gripper_targets == wanted).all(dim=-1)  # to the bit: what an arm can do is done exactly
@@ -120,19 +123,21 @@ def test_what_is_out_of_reach_is_lost_and_said():
 
 
 @pytest.mark.parametrize("is_held", [False, True])
-def test_joints_never_leave_their_limits_nor_exceed_their_speeds(is_held):
+def test_joints_never_leave_their_limits_nor_exceed_their_speeds_and_accelerations(is_held):
     arms, solver = make_arms(100)
     arms.hold_rotation(ALL, is_held)
     start(arms, solver, near_rest(arms, 100, spread=1.0))
     for step in range(100):
         solver.gripper_targets.add_(0.06 * random_directions(100, 2, seed=step))
-        before = arms.qpos.clone()
+        before, speeds = arms.qpos.clone(), arms.qvel.clone()
         arms.follow()
         solver.gripper_positions.copy_(solver.gripper_targets)
         assert ((arms.qpos >= arms.lower) & (arms.qpos <= arms.upper)).all()
         way = (arms.qpos - before).abs()
         assert (way <= arms.speeds * solver.control_dt * (1 + 1e-5) + 1e-6).all()
         torch.testing.assert_close(arms.qvel, (arms.qpos - before) / solver.control_dt)
+        gained = torch.where(arms.qvel * speeds > 0.0, arms.qvel.abs() - speeds.abs(), arms.qvel.abs())
+        assert (gained <= arms.accelerations * solver.control_dt * (1 + 1e-4) + 1e-4).all()
 
 
 def test_joints_are_drawn_to_rest_while_the_tcp_stays():
@@ -194,3 +199,89 @@ def test_arms_of_one_object_stay_within_its_length():
         solver.gripper_positions.copy_(solver.gripper_targets)
         assert (solver.gripper_targets[:, 0] - solver.gripper_targets[:, 1]).norm() <= apart * (1 + 2e-4)
         torch.testing.assert_close(arms.forward(arms.qpos)[..., :3], solver.gripper_targets, atol=1.2e-5, rtol=0)
+
+
+@pytest.mark.slow
+def test_limits_hold_in_a_million_random_steps():
+    """Random motions, much larger than arms can follow, of 2 x 2,500 arms in 200 steps."""
+    arms, solver = make_arms(2500)
+    start(arms, solver, near_rest(arms, 2500, spread=1.0))
+    for step in range(200):
+        before, speeds = arms.qpos.clone(), arms.qvel.clone()
+        solver.gripper_targets.add_(0.06 * random_directions(2500, 2, seed=step))
+        arms.follow()
+        solver.gripper_positions.copy_(solver.gripper_targets)
+        assert ((arms.qpos >= arms.lower) & (arms.qpos <= arms.upper)).all()
+        assert ((arms.qpos - before).abs() <= arms.speeds * solver.control_dt * (1 + 1e-5) + 1e-6).all()
+        gained = torch.where(arms.qvel * speeds > 0.0, arms.qvel.abs() - speeds.abs(), arms.qvel.abs())
+        assert (gained <= arms.accelerations * solver.control_dt * (1 + 1e-4) + 1e-4).all()
+
+
+def facing_pair(height=0.0):
+    """Return two Pandas that face each other on a table, 1.23 m apart, as tasks put them."""
+    solver = Solver(rope([[-0.4, 0], [0.4, 0]], num_nodes=20), 1, 2, num_threads=1)
+    solver.plane[:, 3] = height
+    arms = ArmBodies([ARMS["panda"]] * 2, solver, arm_bases(("panda", "panda"), None))
+    start(arms, solver, arms.qpos.clone())
+    return arms, solver
+
+
+def drive(arms, solver, motion, steps, arm=0):
+    """Move the target of an arm by a motion (3,) in each step; return the lowest corner of its links, and what was refused."""
+    lowest, refused = np.inf, 0
+    for _ in range(steps):
+        solver.gripper_targets[:, arm] += torch.as_tensor(motion)
+        arms.follow()
+        solver.gripper_positions.copy_(solver.gripper_targets)
+        lowest = min(lowest, lowest_point(arms, arm))
+        refused += int(arms.refused[0, arm])
+    return lowest, refused
+
+
+def lowest_point(arms, arm):
+    """Return the height of the lowest vertex of the links without the fingers, by the meshes [m]."""
+    description = arms.descriptions[arm]
+    base = np.eye(4)
+    base[:3, :3] = Rotation.from_quat(arms.bases[0, arm, 3:].numpy()).as_matrix()
+    base[:3, 3] = arms.bases[0, arm, :3].numpy()
+    names = [joint.name for joint in description.arm_joints]
+    frames = description.robot.frames(base, dict(zip(names, arms.qpos[0, arm].tolist(), strict=True)))
+    links = [description.arm_joints[-2].child, description.arm_joints[-1].child, "panda_hand"]
+    shapes = [(frames[link], shape) for link in links for shape in description.robot.shapes[link]]
+    return min((shape_mesh(shape)[0] @ frame[:3, :3].T + frame[:3, 3])[:, 2].min() for frame, shape in shapes)
+
+
+def test_hands_do_not_come_into_the_table():
+    arms, solver = facing_pair(height=0.2)
+    lowest, refused = drive(arms, solver, [0.0, 0.01, -0.02], 60)
+    assert lowest > 0.2 - 1e-4
+    free, without = facing_pair(height=-10.0)  # control: there the same motion goes below
+    assert drive(free, without, [0.0, 0.01, -0.02], 60)[0] < 0.15
+    assert refused or arms.errors[0, 0] > 1e-3
+
+
+def test_hands_do_not_come_into_the_base_of_another_arm():
+    reached = []
+    for base in (0.2, 5.0):  # the second is the control
+        arms, solver = facing_pair(height=-10.0)
+        arms.bases[:, 1, 1] = base
+        drive(arms, solver, [0.0, 0.0, -0.02], 15)
+        drive(arms, solver, [0.0, 0.02, 0.0], 40)
+        reached.append(solver.gripper_positions[0, 0, 1].item())
+    assert reached[0] < 0.2 - column_capsule(ARMS["panda"]).radius
+    assert reached[1] > reached[0] + 0.05
+
+
+def test_capsules_contain_the_links():
+    for uid in UIDS:
+        description = ARMS[uid]
+        assert [link.joint for link in link_capsules(description)][:2] == [5, 6]
+        for link in link_capsules(description):
+            assert 0.02 < link.capsule.radius < 0.1
+    points = np.random.default_rng(0).normal(size=(50, 3)) * [0.3, 0.1, 0.1]
+    capsule = fit_capsule(points)
+    along = capsule.ends[1] - capsule.ends[0]
+    share = np.clip((points - capsule.ends[0]) @ along / (along @ along), 0, 1)
+    distances = np.linalg.norm(points - capsule.ends[0] - share[:, None] * along, axis=1)
+    assert (distances <= capsule.radius + 1e-9).all()
+    assert distances.max() > 0.99 * capsule.radius
