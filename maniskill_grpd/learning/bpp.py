@@ -14,6 +14,7 @@ from maniskill_grpd.learning.entropy_floor import raise_entropy
 from maniskill_grpd.learning.fisher import FisherBPP, FisherOptions
 from maniskill_grpd.learning.lagrangian import LagrangianBPP, LagrangianOptions
 from maniskill_grpd.learning.options import OptionGroup
+from maniskill_grpd.learning.path_projection import project_along_path
 from maniskill_grpd.learning.projection import project_joint, project_unchecked
 from maniskill_grpd.learning.rollout import Batch
 from maniskill_grpd.learning.schedule import Coefficients
@@ -134,13 +135,16 @@ class BPP(FirstOrderAlgorithm):
             std = raise_entropy(std, self.entropy_floor, dist.mean.shape[-1])
         limits = {"mean_bound": self.bounds.mean, "cov_bound": self.bounds.cov}
         gripper_bound: float | torch.Tensor = self.bounds.gripper
-        if self.bounds.per_actuator:
+        if dist.spread is not None:
+            mean, std = project_along_path(dataclasses.replace(dist, std=std), old, self.bounds)
+        elif self.bounds.per_actuator:
             mean, std = project_unchecked(dist.mean, std, old.mean, old.std, **limits)
         else:
             mean, std = project_joint(dist.mean, std, old.mean, old.std, dist.mask, **limits)
+        logits = dist.gripper_logits
+        if not self.bounds.per_actuator:
             # Equal shares keep the sum within the bound; the nearest variables might share it in another way.
             gripper_bound = gripper_bound / dist.mask.sum(-1, keepdim=True).clamp(min=1)
-        logits = dist.gripper_logits
         if logits is not None:
             logits = project_bernoulli(logits, old.gripper_logits, bound=gripper_bound)
         return dataclasses.replace(dist, mean=mean, std=std, gripper_logits=logits)

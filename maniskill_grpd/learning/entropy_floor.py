@@ -18,14 +18,15 @@ def raise_entropy(std: torch.Tensor, floor: float, dim: int) -> torch.Tensor:
     with the overall scale of `std`: as with a clamp, another loss must carry that gradient.
 
     Args:
-        std: Standard deviations, (..., d) or, for sigma^2 I, (..., 1).
+        std: Standard deviations, (..., d), for sigma^2 I (..., 1), or along and across the mean (..., 2).
         floor: Smallest entropy of one Gaussian [nats]; differential, so it may be negative.
         dim: Action dimension d of one Gaussian.
 
     Returns:
         Standard deviations in the shape of `std`.
     """
-    copies = dim if std.shape[-1] == 1 else 1
-    entropy = dim * _HALF_LOG_TWO_PI_E + copies * std.log().sum(-1, keepdim=True)
+    # The last of fewer deviations than axes is that of all axes that are left.
+    copies = [1.0] * (std.shape[-1] - 1) + [1.0 + dim - std.shape[-1]]
+    entropy = dim * _HALF_LOG_TWO_PI_E + (std.log() * std.new_tensor(copies)).sum(-1, keepdim=True)
     raised = std * torch.exp((floor - entropy) / dim)
     return torch.where(entropy < floor, raised, std)

@@ -16,7 +16,7 @@ from maniskill_grpd.policies.layers import (
     DeepSetsValue,
     DirectionMagnitudeDecoder,
     GripperHead,
-    IsotropicStd,
+    InvariantStd,
     NaiveDecoder,
     PerActuator,
 )
@@ -34,6 +34,9 @@ class HeadOptions(abc.ABC):
     """Standard deviation before training, in units of the largest action."""
     state_dependent_std: bool = True
     """False: one learned standard deviation for all states and actuators."""
+    noise: Literal["isotropic", "directed"] = "isotropic"
+    """Noise of actions: the same in all directions, or with a deviation along the mean and one across it, so that
+    length and direction are explored each to its own extent."""
     value_dim: int = 64
     """Width of the value function after the sum over nodes; before it, scalar_dim."""
     value_encoder: Literal["shared", "separate"] = "shared"
@@ -89,9 +92,10 @@ class EncodedPolicy(Policy):
             independent = options.decoders == "independent"
             return PerActuator(make, options.num_decoders) if independent else make()
 
+        num_axes = 2 if options.noise == "directed" else 1
         self.encoder = self.make_encoder(schema, options)
         self.mean = head(lambda: self.make_mean(options))
-        self.std = head(lambda: IsotropicStd(*dims[1], options.init_std, options.state_dependent_std))
+        self.std = head(lambda: InvariantStd(*dims[1], options.init_std, options.state_dependent_std, num_axes))
         self.value_encoder: nn.Module | None = None
         if options.value_encoder == "separate":
             self.value_encoder = self.make_encoder(schema, options)

@@ -34,6 +34,7 @@ VARIANTS = {
     "no_gates": ("grpd", {"receiver_gates": False}),
     "separate_value": ("grpd", {"value_encoder": "separate", "state_dependent_std": False}),
     "naive": ("grpd", {"decoder": "naive"}),
+    "directed": ("grpd", {"noise": "directed"}),
     "independent": ("grpd", {"decoders": "independent", "num_decoders": 5, "gripper": True}),
     "local_degree_2": ("grpd", {"max_local_degree": 2, "normalize_vectors": True}),
     "empn": ("empn", {"gripper": True}),

@@ -12,7 +12,7 @@ from maniskill_grpd.policies.layers.direction_magnitude_decoder import Direction
 from maniskill_grpd.policies.layers.edges import CompleteEdges, EdgeGeometry, NeighborEdges
 from maniskill_grpd.policies.layers.equivariant_update import EquivariantUpdate, vector_norms
 from maniskill_grpd.policies.layers.gripper_head import GripperHead
-from maniskill_grpd.policies.layers.isotropic_std import IsotropicStd
+from maniskill_grpd.policies.layers.invariant_std import InvariantStd
 from maniskill_grpd.policies.layers.local_neighborhood import LocalNeighborhood
 from maniskill_grpd.policies.layers.merged_nodes import MergedNodes
 from maniskill_grpd.policies.layers.mlp_messages import MLPMessages
@@ -36,7 +36,7 @@ __all__ = [
     "EdgeGeometry",
     "EquivariantUpdate",
     "GripperHead",
-    "IsotropicStd",
+    "InvariantStd",
     "LocalNeighborhood",
     "MLPMessages",
     "MergedNodes",

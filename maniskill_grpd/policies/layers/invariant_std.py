@@ -13,25 +13,26 @@ _MIN_STD, _MAX_STD = 0.02, 2.0
 """Range of standard deviations, in units of the largest action."""
 
 
-class IsotropicStd(nn.Module):
-    r"""One standard deviation per actuator: Sigma = sigma^2 I (eq. 54, 61).
+class InvariantStd(nn.Module):
+    r"""Standard deviations of each actuator: one, Sigma = sigma^2 I (eq. 54, 61), or one along its mean and one across it.
 
         log sigma = log 0.02 + log(2 / 0.02) sigmoid(MLP(x) + b),   x = (h, |V|)
 
     The bounds are approached, never hit, so that the gradient does not vanish; b sets the initial
     value. An anisotropic Sigma in world axes would not be equivariant.
 
-    Shapes: h (..., C), V (3, ..., D) -> (..., 1).
+    Shapes: h (..., C), V (3, ..., D) -> (..., K).
     Symmetry: invariant.
 
     Args:
         scalar_dim: C.
         vector_dim: D.
         init_std: sigma before training, inside (0.02, 2).
-        state_dependent: False: one learned number for all states and actuators.
+        state_dependent: False: learned numbers for all states and actuators.
+        num_axes: K, 1 or 2.
     """
 
-    def __init__(self, scalar_dim: int, vector_dim: int, init_std: float, state_dependent: bool) -> None:
+    def __init__(self, scalar_dim: int, vector_dim: int, init_std: float, state_dependent: bool, num_axes: int = 1) -> None:
         super().__init__()
         if not _MIN_STD < init_std < _MAX_STD:
             raise ValueError(f"init_std must be inside ({_MIN_STD}, {_MAX_STD}), got {init_std}")
@@ -39,16 +40,17 @@ class IsotropicStd(nn.Module):
         bias = math.log(share / (1.0 - share))
         self.network: nn.Sequential | None = None
         if state_dependent:
-            self.network = nn.Sequential(nn.Linear(scalar_dim + vector_dim, scalar_dim), nn.SiLU(), nn.Linear(scalar_dim, 1))
+            hidden = nn.Linear(scalar_dim + vector_dim, scalar_dim)
+            self.network = nn.Sequential(hidden, nn.SiLU(), nn.Linear(scalar_dim, num_axes))
             nn.init.orthogonal_(self.network[-1].weight, 0.01)
             nn.init.constant_(self.network[-1].bias, bias)
         else:
-            self.bias = nn.Parameter(torch.tensor(bias))
+            self.bias = nn.Parameter(torch.full((num_axes,), bias))
 
     def forward(self, scalars: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
-        """Standard deviations (..., 1) of actuators with features h, V."""
+        """Standard deviations (..., K) of actuators with features h, V."""
         if self.network is None:
-            raw = self.bias.expand(*scalars.shape[:-1], 1)
+            raw = self.bias.expand(*scalars.shape[:-1], len(self.bias))
         else:
             raw = self.network(torch.cat([scalars, vector_norms(vectors)], dim=-1))
         span = math.log(_MAX_STD / _MIN_STD)
