@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import torch
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, equivariant_mean
-from maniskill_grpd.policies.layers import EdgeGeometry, EquivariantUpdate, NodeEmbedding, SteerableConv
+from maniskill_grpd.policies.layers import EdgeGeometry, NodeEmbedding, RawNodeEmbedding
+from maniskill_grpd.policies.message_round import MessageRound
+from maniskill_grpd.policies.shared_encoder import SharedEncoder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,22 +46,33 @@ class GRPDOptions(HeadOptions):
     """Whether vector features are normalised after each round; for many rounds."""
     decoder: Literal["direction_magnitude", "naive"] = "direction_magnitude"
     """Mean action as direction times magnitude (eq. 51, 52) or as one vector (eq. 50)."""
+    coordinates: Literal["relative", "raw"] = "relative"
+    """What the first layer of a node sees: raw coordinates are an ablation, without symmetry."""
+    weights: Literal["typed", "shared"] = "typed"
+    """Whether node and edge types have weights of their own; shared ones are an ablation."""
+    shared_scalar_dim: int = 64
+    """Scalar channels of all nodes with shared weights; the default has as many parameters as typed weights have."""
+    object_messages: bool = True
+    """Whether actuators hear the objects (eq. 40); without, they act blindly: an ablation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("max_degree", "max_local_degree"):
             if getattr(self, name) not in (1, 2):
                 raise ValueError(f"{name} must be 1 or 2, got {getattr(self, name)}")
+        if self.coordinates == "raw" and self.weights == "shared":
+            raise ValueError("coordinates='raw' and weights='shared' are two ablations; choose one")
 
     @property
     def object_dims(self) -> tuple[int, int]:
         """Scalar and vector channels of object nodes."""
-        return self.scalar_dim, self.vector_dim
+        return self.actuator_dims if self.weights == "shared" else (self.scalar_dim, self.vector_dim)
 
     @property
     def actuator_dims(self) -> tuple[int, int]:
         """Scalar and vector channels of actuators."""
-        return self.actuator_scalar_dim, self.actuator_vector_dim
+        scalar_dim = self.shared_scalar_dim if self.weights == "shared" else self.actuator_scalar_dim
+        return scalar_dim, self.actuator_vector_dim
 
 
 class GRPD(EncodedPolicy):
@@ -82,7 +96,7 @@ class GRPD(EncodedPolicy):
 
     def make_encoder(self, schema: GraphSchema, options: GRPDOptions) -> nn.Module:
         """See `EncodedPolicy`."""
-        return GRPDEncoder(schema, options)
+        return SharedEncoder(schema, options) if options.weights == "shared" else GRPDEncoder(schema, options)
 
     def make_mean(self, options: GRPDOptions) -> nn.Module:
         """See `EncodedPolicy`."""
@@ -100,18 +114,24 @@ class GRPDEncoder(nn.Module):
     def __init__(self, schema: GraphSchema, options: GRPDOptions) -> None:
         super().__init__()
         dims, tool_dims = options.object_dims, options.actuator_dims
-        self.embed_object = NodeEmbedding(schema.object.num_vectors, schema.object.num_scalars, *dims)
-        self.embed_actuator = NodeEmbedding(schema.actuator.num_vectors, schema.actuator.num_scalars, *tool_dims)
         edge, size = schema.edge_length, schema.length_scale
+        self.has_raw_coordinates = options.coordinates == "raw"
+        self.embed_object, self.embed_actuator = (
+            RawNodeEmbedding(node.num_vectors, node.num_scalars, *node_dims, size)
+            if self.has_raw_coordinates
+            else NodeEmbedding(node.num_vectors, node.num_scalars, *node_dims)
+            for node, node_dims in ((schema.object, dims), (schema.actuator, tool_dims))
+        )
         local = options.num_local_radial, options.max_local_degree
         between = options.num_actuator_radial, 1
         across = options.num_radial, options.max_degree
         self.local_geometry = EdgeGeometry(*local, edge, 0.5 * edge)
         self.actuator_geometry = EdgeGeometry(*between, size, 0.05 * size)
         self.global_geometry = EdgeGeometry(*across, size, 0.05 * size)
-        self.object_rounds = nn.ModuleList(_MessageRound(dims, dims, *local, options) for _ in range(options.num_layers))
-        self.actuator_round = _MessageRound(tool_dims, tool_dims, *between, options)
-        self.global_round = _MessageRound(dims, tool_dims, *across, options)
+        variants = {"receiver_gates": options.receiver_gates, "normalize_vectors": options.normalize_vectors}
+        self.object_rounds = nn.ModuleList(MessageRound(dims, dims, *local, **variants) for _ in range(options.num_layers))
+        self.actuator_round = MessageRound(tool_dims, tool_dims, *between, **variants)
+        self.global_round = MessageRound(dims, tool_dims, *across, **variants) if options.object_messages else None
 
     def forward(self, graph: Mapping[str, Any]) -> tuple[Features, Features]:
         """Encode a graph.
@@ -127,34 +147,20 @@ class GRPDEncoder(nn.Module):
         # Component first, like all vectors inside the network.
         points = nodes["position"].movedim(-1, 0).contiguous()
         tools = grippers["position"].movedim(-1, 0).contiguous()
-        objects = self.embed_object(nodes["vectors"], nodes["scalars"], gravity)
+        objects = self._embed(self.embed_object, nodes, gravity)
         if len(self.object_rounds):
             edges = self.local_geometry.neighbors(points, nodes["mask"], nodes["neighbors"])
             for message_round in self.object_rounds:
                 objects = message_round(objects, objects, edges)
-        actuators = self.embed_actuator(grippers["vectors"], grippers["scalars"], gravity)
+        actuators = self._embed(self.embed_actuator, grippers, gravity)
         edges = self.actuator_geometry.complete(tools, grippers["mask"], tools, exclude_self=True)
         actuators = self.actuator_round(actuators, actuators, edges)
-        edges = self.global_geometry.complete(points, nodes["mask"], tools)
-        return objects, self.global_round(objects, actuators, edges)
+        if self.global_round is not None:
+            edges = self.global_geometry.complete(points, nodes["mask"], tools)
+            actuators = self.global_round(objects, actuators, edges)
+        return objects, actuators
 
-
-class _MessageRound(nn.Module):
-    """Convolution along one edge type, then the update of its receivers (eq. 2, 3)."""
-
-    def __init__(
-        self, sender_dims: tuple[int, int], receiver_dims: tuple[int, int], num_radial: int, max_degree: int, options: GRPDOptions
-    ) -> None:
-        super().__init__()
-        self.conv = SteerableConv(
-            *sender_dims,
-            num_radial=num_radial,
-            max_degree=max_degree,
-            out_scalar_dim=receiver_dims[0],
-            out_vector_dim=receiver_dims[1],
-            receiver_dims=receiver_dims if options.receiver_gates else None,
-        )
-        self.update = EquivariantUpdate(*receiver_dims, message_dim=receiver_dims[0], normalize_vectors=options.normalize_vectors)
-
-    def forward(self, senders: Features, receivers: Features, edges: Any) -> Features:
-        return self.update(*receivers, *self.conv(*senders, edges, receivers))
+    def _embed(self, embedding: nn.Module, nodes: Mapping[str, torch.Tensor], gravity: torch.Tensor) -> Features:
+        """First features of the nodes of one type."""
+        places = (nodes["position"],) if self.has_raw_coordinates else ()
+        return embedding(*places, nodes["vectors"], nodes["scalars"], gravity)

@@ -37,6 +37,8 @@ VARIANTS = {
     "directed": ("grpd", {"noise": "directed"}),
     "independent": ("grpd", {"decoders": "independent", "num_decoders": 5, "gripper": True}),
     "local_degree_2": ("grpd", {"max_local_degree": 2, "normalize_vectors": True}),
+    "shared": ("grpd", {"weights": "shared", "num_layers": 2}),
+    "no_object_messages": ("grpd", {"object_messages": False}),
     "empn": ("empn", {"gripper": True}),
     "empn_naive": ("empn", {"decoder": "naive", "num_nearest": 2, "max_degree": 2, "num_layers": 2}),
 }

@@ -22,6 +22,7 @@ from maniskill_grpd.policies.layers.per_actuator import PerActuator
 from maniskill_grpd.policies.layers.radial_basis import RadialBasis
 from maniskill_grpd.policies.layers.raw_decoder import RawDecoder
 from maniskill_grpd.policies.layers.raw_embedding import RawEmbedding
+from maniskill_grpd.policies.layers.raw_node_embedding import RawNodeEmbedding
 from maniskill_grpd.policies.layers.receiver_gate import ReceiverGate
 from maniskill_grpd.policies.layers.solid_harmonics import solid_harmonics
 from maniskill_grpd.policies.layers.steerable_conv import SteerableConv
@@ -47,6 +48,7 @@ __all__ = [
     "RadialBasis",
     "RawDecoder",
     "RawEmbedding",
+    "RawNodeEmbedding",
     "ReceiverGate",
     "SteerableConv",
     "VectorNorm",
