@@ -12,32 +12,27 @@ from mani_skill.envs.sapien_env import BaseEnv
 from mani_skill.utils.geometry.rotation_conversions import quaternion_to_matrix
 from mani_skill.utils.registration import register_env
 
-from maniskill_grpd.graphs import Channel
 from maniskill_grpd.physics import Collider, Model, cloth
 from maniskill_grpd.tasks.deformable_env import DeformableEnv
 from maniskill_grpd.tasks.geometry.bar_hanger import BarHanger
 from maniskill_grpd.tasks.geometry.cloth_seat import check_middle, hole_outline, ring_about_middle, spread_corners
 from maniskill_grpd.tasks.geometry.cloth_shapes import RESOLUTIONS, check_cloth_shapes, cloth_outline
 from maniskill_grpd.tasks.geometry.direction_draws import directions_in_cap, orientations_in_cap, tilts_of_z
-from maniskill_grpd.tasks.geometry.hanger import Hanger, Hanging
+from maniskill_grpd.tasks.geometry.hanger import HANGER_AXIS, SEAT, SEAT_DEPTH, SEAT_NORMAL, SEAT_OFFSET, Hanger, Hanging
 from maniskill_grpd.tasks.geometry.loop_geometry import loop_area
 from maniskill_grpd.tasks.geometry.mesh_outlines import GivenMesh
 from maniskill_grpd.tasks.geometry.peg_hanger import PegHanger
 from maniskill_grpd.tasks.geometry.shape_registry import GivenShape, Shape
 from maniskill_grpd.tasks.measurement import Measurement, Metric
 from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.options.arm_bases import beside_the_way
+from maniskill_grpd.tasks.options.grasp_mode import with_release
 from maniskill_grpd.tasks.options.resolutions import check_resolutions
 
 CLOTH_AREA = 0.16
 """Area of the cloth's outline [m^2]: a square of 40 cm."""
 HOLE_RADIUS = 0.06
 """Default radius of the hole [m]."""
-
-HANGER_AXIS = Channel("hanger_axis", "vector", "", "unit vector out of the peg's tip (along the bar), design")
-SEAT = Channel("seat", "scalar", "", "1 on the boundary of the hole (of the disc that comes onto the bar), design")
-SEAT_OFFSET = Channel("seat_offset", "vector", "m", "hanger_offset of the middle of the seat, design")
-SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit normal of the seat, of its two the one along a peg or up, design")
-SEAT_DEPTH = Channel("seat_depth", "scalar", "m", "how far the middle of the seat has come down the hanger, design")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +68,8 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
       one combination of shape and resolution
     - `pose_range="half"` and `"quarter"` shrink all ranges but that of the distance to a half and a
       quarter
+    - with arms all ranges but that of the distance are a quarter of these, and the distance of the hanger
+      is in [0.55, 0.65] m, for a bar in [0.65, 0.75] m; what an arm cannot reach is drawn anew
 
     **Success Conditions:**
     - peg: the peg's axis passes through the boundary of the hole; the middle of the hole is at
@@ -106,6 +103,12 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
     CAMERA_POSITION = (-0.9, -2.3, 1.1)  # from there it sees hangers in all directions from the origin
     CAMERA_TARGET = (0.0, 0.0, 0.0)
     CAMERA_FOV = 0.75
+
+    ARM_CAMERA = ((1.6, -2.0, 1.2), (0.3, 0.0, 0.0), 0.85)
+    ARM_SHARE = 0.25
+    """Share of the ranges that is sampled with arms."""
+    ARM_DISTANCE = -0.2
+    """What is added to the distance of hangers with arms [m]."""
 
     CENTRE_RANGE = 0.1
     """Largest coordinate of the middle of the cloth [m]."""
@@ -194,7 +197,7 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
             SEAT_DEPTH,
             channels.GRIPPER_STATUS,
         )
-        super().__init__(**(_with_free_grasp(settings) if release else settings))
+        super().__init__(**(with_release(settings) if release else settings))
 
     # ------------------------------------------------------------------ episode
 
@@ -221,6 +224,16 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         """Return as many corners as there are grippers."""
         return spread_corners(model, self.num_grippers)
 
+    @classmethod
+    def default_arm_bases(cls, num_arms: int) -> np.ndarray:
+        """See `DeformableEnv`: on both sides of the way to the hanger."""
+        return beside_the_way(num_arms)
+
+    @property
+    def _share(self) -> float:
+        """Share of the ranges that is sampled."""
+        return self.pose_share * (self.ARM_SHARE if self._bases is not None else 1.0)
+
     def allocate_episode(self) -> None:
         """Create the pose of the hanger, the clock of open grippers, and tables of cloths."""
         self.hanger_point = self.episode_tensor("hanger_point", 3, kind="position")
@@ -239,9 +252,9 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
         """Place the hanger, and the flat cloth away from it."""
         variant = self.variants[worlds]
         turn, centre, direction, distance, axis = self.draw_uniform(worlds, 3, 3, 2, 1, 2)
-        angle = self.ANGLE_RANGE * self.pose_share
+        angle = self.ANGLE_RANGE * self._share
         turn = quaternion_to_matrix(orientations_in_cap(turn, angle))
-        centre = self.CENTRE_RANGE * self.pose_share * centre[:, None]
+        centre = self.CENTRE_RANGE * self._share * centre[:, None]
         self._place_hanger(worlds, directions_in_cap(direction, angle), distance, axis)
         self._open_steps[worlds] = 0.0
         return self.rest_positions[variant] @ turn.mT + centre, self._held_nodes[variant]
@@ -255,10 +268,11 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
             distance: How far away, in [-1, 1), (b, 1).
             axis: Where they point, in [-1, 1), (b, 2).
         """
-        nearest, farthest = self._hanger.distances
+        shift = self.ARM_DISTANCE if self._bases is not None else 0.0
+        nearest, farthest = (bound + shift for bound in self._hanger.distances)
         distance = nearest + (farthest - nearest) * (distance + 1.0) / 2.0
         middles = distance * direction.roll(1, dims=-1)  # from about z to about x
-        axes = self._hanger.draw_axes(axis, self.pose_share)
+        axes = self._hanger.draw_axes(axis, self._share)
         self.hanger_point[worlds], self.solver.collider_positions[worlds] = self._hanger.place(middles, axes)
         self.hanger_axis[worlds] = axes
         self.solver.collider_rotations[worlds] = tilts_of_z(axes)[:, None]
@@ -334,10 +348,3 @@ class ClothHangingEnv(DeformableEnv, BaseEnv):
     def goal_observations(self) -> dict[str, torch.Tensor]:
         """Return the point and the axis of the hanger."""
         return {"hanger_point": self.hanger_point, "hanger_axis": self.hanger_axis}
-
-
-def _with_free_grasp(settings: dict[str, Any]) -> dict[str, Any]:
-    """Let grippers open by default, and refuse settings under which they cannot."""
-    if settings.get("grasp") == "fixed" or settings.get("control_mode") == "pd_ee_delta_pos":
-        raise ValueError("release=True needs grippers that open: grasp='free', control_mode='pd_ee_delta_pos_grip'")
-    return {**settings, "grasp": "free"}

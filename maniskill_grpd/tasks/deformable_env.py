@@ -14,7 +14,7 @@ from mani_skill.utils.structs.types import SimConfig
 from maniskill_grpd.agents.arms import ARMS, arm_links
 from maniskill_grpd.physics import STANDARD_GRAVITY, Collider, Model, Solver
 from maniskill_grpd.tasks.observation.observed_worlds import GRAPH_FEATURES, ObservedWorlds
-from maniskill_grpd.tasks.options.arm_bases import arm_bases
+from maniskill_grpd.tasks.options.arm_bases import arm_bases, round_the_table
 from maniskill_grpd.tasks.options.compute_device import choose_compute_device
 from maniskill_grpd.tasks.options.grasp_mode import choose_grasp
 from maniskill_grpd.tasks.options.gripper_teams import Team, choose_team, control_modes, members, supported_robots
@@ -69,7 +69,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             agents that share them, as in ("floating_grippers_1", "floating_grippers_1"): actions
             are then a dictionary with one entry per agent. Or a tuple of arms, one for each gripper, as in ("panda", "panda")
             (docs/robots.md).
-        robot_poses: Where arms stand, see `arm_bases`; round the middle of the table by default.
+        robot_poses: Where arms stand, see `arm_bases`; where `default_arm_bases` says by default.
         arm_contact: Whether the object touches the hands, the fingers and the last two links of arms.
         grasp: "fixed" (default): grippers hold the object for the whole episode; "free": they hold
             it at the start, and the action opens and closes them.
@@ -137,7 +137,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         _check_choice("render_mode", render_mode, (None, *self.SUPPORTED_RENDER_MODES))
         check_num_envs(num_envs)
         self.num_grippers, team = choose_team(num_grippers, robot_uids, self.GRIPPER_COUNTS, self.DEFAULT_NUM_GRIPPERS)
-        self._bases = arm_bases(team, robot_poses)
+        self._bases = arm_bases(team, robot_poses, self.default_arm_bases)
         self._links = arm_links([ARMS[uid] for uid in members(team)]) if arm_contact and self._bases is not None else ()
         self.grasp, control_mode = choose_grasp(grasp, control_mode, control_modes(team))
         self._material = MaterialRanges(material)
@@ -194,6 +194,11 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     @abstractmethod
     def candidate_gripper_nodes(self, model: Model) -> np.ndarray:
         """Return the nodes of a variant at which grippers may start; a thinned graph shows them all."""
+
+    @classmethod
+    def default_arm_bases(cls, num_arms: int) -> np.ndarray:
+        """Return where arms stand where `robot_poses` does not say, (A, 4, 4); round the table by default."""
+        return round_the_table(num_arms)
 
     def allocate_episode(self) -> None:
         """Create the tensors of an episode with `episode_tensor`; none by default."""

@@ -221,6 +221,31 @@ def test_episodes_that_arms_cannot_do_are_drawn_anew_and_counted(make_arms):
         assert (env.scene.arms.solve(everywhere, points)[1] < 1e-3).all()
 
 
+@pytest.mark.parametrize(("num", "hanger"), [(4, "peg"), (3, "peg"), (4, "bar")])
+def test_arms_beside_the_way_reach_cloth_and_hanger(make_arms, num, hanger):
+    env = make_arms("ClothHanging-v1", 30, ("panda",) * num, resolution=49, hanger=hanger)
+    _, info = env.reset(seed=0)
+    assert info["num_redrawn"].max() < 50
+    distances = env.solver.collider_positions.mean(dim=1).norm(dim=-1)
+    assert (distances < 0.8).all()
+    assert (tool_gaps(env) < 1e-3).all()
+    env.step(act(env, 0))
+    assert (tool_gaps(env) < 2e-5).all()
+
+
+def test_the_object_lies_on_links_unless_it_is_told_to_pass(make_arms):
+    """A hand that presses a rope down beside where it is held moves it, without contact it does not."""
+    ends = []
+    for arm_contact in (True, False):
+        env = make_arms("RopeShaping-v1", 4, PAIR, arm_contact=arm_contact, pose_range="quarter")
+        env.reset(seed=3)
+        for step in range(15):
+            env.step(act(env, step))
+        ends.append(env.solver.positions.clone())
+        assert len(env.solver.links) == (8 if arm_contact else 0)
+    assert not torch.equal(*ends)
+
+
 def test_a_single_arm_is_one_agent(make_arms):
     env = make_arms("ClothFolding-v1", robot_uids="panda")
     env.reset(seed=0)

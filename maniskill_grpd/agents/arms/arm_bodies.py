@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms.arm_description import ArmDescription
 from maniskill_grpd.agents.arms.capsules import arm_links, column_capsule, link_capsules
-from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms, follow_kernel
+from maniskill_grpd.agents.arms.kinematics import FIXED, NUM_JOINTS, PRISMATIC, REVOLUTE, Arms
+from maniskill_grpd.agents.arms.motion import follow_kernel
 from maniskill_grpd.agents.arms.placing import forward, place
 from maniskill_grpd.agents.arms.urdf import REVOLUTE as TURNS
 from maniskill_grpd.physics import Solver
@@ -120,17 +121,26 @@ class ArmBodies:
         self._launch(forward, qpos.shape[:2], [_warp(qpos.contiguous(), wp.float32), _warp(self._tools, wp.transform)])
         return self._tools.clone()
 
-    def solve(self, worlds: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Find joint positions with which arms of some worlds (b,) hold points (b, A, 3) [m], from rest and without time limit.
+    def solve(
+        self, worlds: torch.Tensor, points: torch.Tensor, rotations: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Find joint positions with which arms of some worlds (b,) hold points (b, A, 3) [m], without time limit.
+
+        Args:
+            worlds: (b,) int64.
+            points: In the world.
+            rotations: Quaternions (x, y, z, w) that the hands are to have, (b, A, 4); any by default.
 
         Returns:
             Joint positions (b, A, J) [rad], and how far from the points the TCPs stay, (b, A) [m].
         """
-        shape = points.shape[:2]
+        shape, rows = points.shape[:2], 3 if rotations is None else 6
         qpos = torch.zeros(*shape, NUM_JOINTS, device=points.device)
         gaps = torch.zeros(shape, device=points.device)
-        arguments = [(worlds.long(), wp.int64), (points.contiguous(), wp.vec3), (qpos, wp.float32), (gaps, wp.float32)]
-        self._launch(place, shape, [_warp(tensor, dtype) for tensor, dtype in arguments])
+        if rotations is None:
+            rotations = self.rotations[worlds]
+        goals = [_warp(worlds.long(), wp.int64), _warp(points.contiguous(), wp.vec3), _warp(rotations.contiguous(), wp.quat)]
+        self._launch(place, shape, [*goals, rows, _warp(qpos, wp.float32), _warp(gaps, wp.float32)])
         return qpos, gaps
 
     def set_qpos(self, worlds: torch.Tensor, arms: slice, qpos: torch.Tensor) -> None:
@@ -226,7 +236,7 @@ class ArmBodies:
         count = choose_num_threads(None, solver.num_worlds, solver.device)
         commands = [
             wp.launch(
-                follow_kernel(bool(solver.colliders)),
+                follow_kernel(bool(solver.colliders), any(model.is_rope for model in solver.models)),
                 dim=len(range(first, solver.num_worlds, count)),
                 inputs=[self._arms, *solver.kernel_data, self._link_motions.data, solver.control_dt, first, count],
                 device=str(solver.device),
@@ -236,7 +246,7 @@ class ArmBodies:
         ]
         return Launches(commands, solver.device)
 
-    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[wp.array]) -> None:
+    def _launch(self, kernel: wp.Kernel, dim: tuple[int, ...], inputs: list[wp.array | int]) -> None:
         device = self._solver.device
         stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
         wp.launch(kernel, dim=tuple(dim), inputs=[self._arms, *inputs], device=str(device), stream=stream)

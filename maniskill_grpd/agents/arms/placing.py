@@ -5,10 +5,20 @@ Annotations stay real objects here (no postponed evaluation), because Warp reads
 
 import warp as wp
 
-from maniskill_grpd.agents.arms.kinematics import NUM_JOINTS, Arms, Joints, Range, approach, tool_position, trace_arm
+from maniskill_grpd.agents.arms.kinematics import (
+    ARRIVAL,
+    NUM_JOINTS,
+    Arms,
+    Joints,
+    Range,
+    approach,
+    tool_error,
+    tool_position,
+    trace_arm,
+)
 
-# Newton steps of an arm that is put somewhere, and angles of its first joint that are tried.
-STEPS, SEEDS = wp.constant(100), wp.constant(16)
+# Newton steps of an arm that is put somewhere, angles of its first joint that are tried, and searches.
+STEPS, SEEDS, SEARCHES = wp.constant(100), wp.constant(16), wp.constant(8)
 
 
 @wp.kernel(enable_backward=False)
@@ -39,15 +49,30 @@ def best_seed(arms: Arms, world: int, arm: int, target: wp.vec3) -> Joints:
     return found
 
 
+@wp.func
+def random_seed(arms: Arms, arm: int, attempt: int) -> Joints:
+    """Return joint positions anywhere within the limits, always the same for an attempt."""
+    found = Joints()
+    state = wp.rand_init(0, attempt)
+    for joint in range(wp.static(NUM_JOINTS)):
+        found[joint] = wp.lerp(arms.lower[arm, joint], arms.upper[arm, joint], wp.randf(state))
+    return found
+
+
 @wp.kernel(enable_backward=False)
 def place(
     arms: Arms,
     worlds: wp.array(dtype=wp.int64),
     points: wp.array2d(dtype=wp.vec3),
+    rotations: wp.array2d(dtype=wp.quat),
+    rows: int,
     q: wp.array3d(dtype=float),
     gaps: wp.array2d(dtype=float),
 ):
-    """Write joint positions (b, A, J) with which arms of some worlds (b,) come nearest to points (b, A), and how near."""
+    """Write joint positions (b, A, J) with which arms of some worlds (b,) come nearest to points (b, A), and how near.
+
+    With six rows hands come to rotations too. A search that ends elsewhere is begun anew from other joint positions.
+    """
     row, arm = wp.tid()
     world = int(worlds[row])
     bounds = Range()
@@ -56,7 +81,15 @@ def place(
         bounds.high[joint] = arms.upper[arm, joint]
     target = points[row, arm]
     start = best_seed(arms, world, arm, target)
-    found = approach(arms, world, arm, start, bounds, Joints(), target, wp.quat_identity(), 3, STEPS)
-    for joint in range(wp.static(NUM_JOINTS)):
-        q[row, arm, joint] = found[joint]
-    gaps[row, arm] = wp.length(target - tool_position(arms, world, arm, found))
+    least = float(1.0e9)
+    for attempt in range(SEARCHES):
+        if least > ARRIVAL * ARRIVAL:
+            found = approach(arms, world, arm, start, bounds, Joints(), target, rotations[row, arm], rows, STEPS)
+            trace = trace_arm(arms, world, arm, found)
+            error = tool_error(trace, target, rotations[row, arm], rows)
+            if wp.dot(error, error) < least:
+                least = wp.dot(error, error)
+                gaps[row, arm] = wp.length(target - wp.transform_get_translation(trace.tool))
+                for joint in range(wp.static(NUM_JOINTS)):
+                    q[row, arm, joint] = found[joint]
+            start = random_seed(arms, arm, attempt)

@@ -14,6 +14,11 @@ from maniskill_grpd.physics import Collider, Solver
 OFFSET, OFFSET_SOURCE = "hanger_offset", "tip of the peg (nearest point of the bar) minus position, design"
 DISTANCE, DISTANCE_SOURCE = "hanger_distance", "d_v, eq. 42: distance from the surface of peg or bar"
 """Names of the channels of a hanger, and what they are."""
+HANGER_AXIS = Channel("hanger_axis", "vector", "", "unit vector out of the peg's tip (along the bar), design")
+SEAT = Channel("seat", "scalar", "", "1 on the boundary of the hole (of the disc that comes onto the bar), design")
+SEAT_OFFSET = Channel("seat_offset", "vector", "m", "hanger_offset of the middle of the seat, design")
+SEAT_NORMAL = Channel("seat_normal", "vector", "", "unit normal of the seat, of its two the one along a peg or up, design")
+SEAT_DEPTH = Channel("seat_depth", "scalar", "m", "how far the middle of the seat has come down the hanger, design")
 
 WAITING_DISTANCE = 0.08
 """How far before a hanger [m] the way onto it begins."""

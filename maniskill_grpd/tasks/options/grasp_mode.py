@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 FREE_SUFFIX = "_grip"
 """What is behind the name of a control mode whose action opens and closes grippers."""
@@ -34,3 +35,10 @@ def choose_grasp(grasp: str | None, control_mode: str | None, modes: Iterable[st
     if control_mode is not None and grasp is not None and control_mode != wanted:
         raise ValueError(f"grasp={grasp!r} goes with control_mode={wanted!r}, got {control_mode!r}")
     return ("free", mode + FREE_SUFFIX) if is_free else ("fixed", mode)
+
+
+def with_release(settings: dict[str, Any]) -> dict[str, Any]:
+    """Let grippers open by default, and refuse settings under which they cannot."""
+    if settings.get("grasp") == "fixed" or settings.get("control_mode") == "pd_ee_delta_pos":
+        raise ValueError("release=True needs grippers that open: grasp='free', control_mode='pd_ee_delta_pos_grip'")
+    return {**settings, "grasp": "free"}

@@ -90,6 +90,22 @@ def test_arms_that_are_put_to_a_point_are_there_and_say_so_where_they_are_not():
     assert (gaps > 1.0).all()
 
 
+def test_poses_are_found_as_an_independent_library_has_them():
+    """10,000 random poses that can be reached, by joint positions of which the search knows nothing."""
+    arms, _ = make_arms(5000)
+    positions, rotations = reference_poses(arms, random_qpos(arms, 5000, seed=7))
+    quaternions = torch.as_tensor(Rotation.from_matrix(rotations.reshape(-1, 3, 3).numpy()).as_quat()).reshape(5000, 2, 4)
+    qpos, _ = arms.solve(torch.arange(5000), positions.float(), quaternions.float())
+    assert ((qpos >= arms.lower) & (qpos <= arms.upper)).all()
+    found, turned = reference_poses(arms, qpos)
+    gaps = (found - positions).norm(dim=-1).flatten()
+    there = Rotation.from_matrix(rotations.reshape(-1, 3, 3).numpy())
+    angles = (there.inv() * Rotation.from_matrix(turned.reshape(-1, 3, 3).numpy())).magnitude()
+    is_there = (gaps.numpy() < 1e-4) & (angles < 1e-3)
+    assert is_there.mean() > 0.97
+    assert np.median(gaps) < 1e-5
+
+
 @pytest.mark.parametrize("is_held", [False, True])
 def test_tcps_follow_their_targets_and_hands_keep_their_rotation(is_held):
     arms, solver = make_arms(200)
