@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 
 from maniskill_grpd.learning.algorithm import ALGORITHMS
 from maniskill_grpd.learning.options import THREADS, parse_options
+from maniskill_grpd.learning.rotation_augmentation import Augmentation
 from maniskill_grpd.learning.schedule import Coefficients, Schedule, scheduled
 
 BestMetric = Literal["success_at_end", "success_once", "return"]
@@ -142,6 +143,9 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
     """minibatches per epoch"""
     update_epochs: int = 5
     """passes over each rollout"""
+    rotation_augmentation: Augmentation = "none"
+    """turn each transition of a minibatch, gravity and action with it, by a random rotation: none, vertical (about the vertical)
+    or full; teaches policies without symmetry what others have built in"""
     norm_adv: bool = True
     """normalise advantages within each minibatch"""
     noise_correlation: float = 0.0
@@ -239,6 +243,9 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
             ),
             f"--anneal_lr is linear, --lr_schedule says {self.lr_schedule}; give one of them": (
                 self.anneal_lr and self.lr_schedule == "cosine"
+            ),
+            "--trust_region fisher takes one step over all transitions as they are; leave out --rotation_augmentation": (
+                self.rotation_augmentation != "none" and self.algorithm == "bpp" and self.trust_region == "fisher"
             ),
             "--ent_schedule changes --ent_coef, which is 0; set it too": self.ent_schedule != "constant" and not self.ent_coef,
             "--noise_schedule changes --noise_correlation, which is 0; set it too": (

@@ -15,6 +15,7 @@ from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.learning.protocols import ActorCritic
 from maniskill_grpd.learning.rollout import Batch, Graph, Rollout
+from maniskill_grpd.learning.rotation_augmentation import random_rotations, rotate_batch
 from maniskill_grpd.learning.schedule import Coefficients
 from maniskill_grpd.learning.value_scale import ValueScale
 from maniskill_grpd.learning.workers import Workers
@@ -70,7 +71,11 @@ class Learner:
         # All minibatches at once: every exchange between processes lets the fast wait for the slow.
         advantages = self._normalized([rollout.advantages.flatten()[index] for index in indices])
         for index, normalized in zip(indices, advantages, strict=True):
-            yield dataclasses.replace(rollout.select(index), advantages=normalized)
+            batch = dataclasses.replace(rollout.select(index), advantages=normalized)
+            augmentation = self.config.rotation_augmentation
+            if augmentation != "none":
+                batch = rotate_batch(batch, random_rotations(len(batch), augmentation, self.generator))
+            yield batch
 
     def normalize_advantages(self, batch: Batch) -> Batch:
         """Bring the advantages of a batch to mean 0 and deviation 1, if so configured."""

@@ -9,12 +9,13 @@ from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.policies.distribution import ActionDistribution
 from maniskill_grpd.policies.empn import EMPN
 from maniskill_grpd.policies.grpd import GRPD
+from maniskill_grpd.policies.hepi import HEPi
 from maniskill_grpd.policies.hetero_gnn import HeteroGNN
 from maniskill_grpd.policies.options import parse_options
 from maniskill_grpd.policies.policy import Policy
 from maniskill_grpd.policies.transformer import TransformerPolicy
 
-POLICIES: dict[str, type[Policy]] = {cls.name: cls for cls in (GRPD, EMPN, HeteroGNN, TransformerPolicy)}
+POLICIES: dict[str, type[Policy]] = {cls.name: cls for cls in (GRPD, EMPN, HeteroGNN, TransformerPolicy, HEPi)}
 """Policy classes by name."""
 
 

@@ -7,7 +7,10 @@ scale (identity here), and the value loss is not clipped (CleanRL's option clip_
 ManiSkill).
 """
 
+import dataclasses
+
 import numpy as np
+import pytest
 import torch
 from test_update import CONFIG, collect, make_learner
 from toy_env import ToyPolicy
@@ -118,3 +121,37 @@ def test_a_gradient_step_is_clipped_and_taken_like_cleanrls():
     torch.nn.utils.clip_grad_norm_(twin.parameters(), 0.5)
     optimizer.step()
     torch.testing.assert_close(policy.state_dict(), twin.state_dict(), rtol=1e-5, atol=1e-6)
+
+
+def test_clipping_is_adapted_to_the_size_of_the_steps():
+    """KL grows about as the square of the clipping: four times too much is answered by half, as far as 1.5 goes."""
+    ppo = PPO(clip_coef=0.2, clip_kl=0.04, ent_coef=0.0)
+    ppo.adapt(0.0484)
+    assert ppo.clip_coef == pytest.approx(0.2 / 1.1)
+    ppo.adapt(0.64)
+    assert ppo.clip_coef == pytest.approx(0.2 / 1.1 / 1.5)
+    for _ in range(20):
+        ppo.adapt(0.0)
+    assert ppo.clip_coef == 5.0
+    resumed = PPO(clip_coef=0.2, clip_kl=0.04, ent_coef=0.0)
+    resumed.load_state_dict(ppo.state_dict())
+    assert resumed.clip_coef == 5.0
+
+
+def test_adapted_clipping_brings_the_kl_to_its_goal():
+    """From either side; without adaptation it stays where the clipping puts it."""
+    kls = {}
+    for clip_coef in (0.05, 1.0):
+        torch.manual_seed(0)
+        policy = ToyPolicy()
+        ppo = PPO(clip_coef=clip_coef, clip_kl=0.02, ent_coef=0.0)
+        learner = make_learner(policy, dataclasses.replace(CONFIG, update_epochs=4))
+        found = [ppo.update(learner, collect(policy)[0])["kl_raw"] for _ in range(25)]
+        kls[clip_coef] = np.mean(found[-8:])
+    assert all(0.01 < kl < 0.04 for kl in kls.values()), kls
+
+
+def test_clipping_that_stays_has_no_state_and_is_no_option_of_bpp():
+    assert PPO(clip_coef=0.2, ent_coef=0.0).state_dict() == {}
+    with pytest.raises(ValueError, match="--clip_kl belongs to --algorithm ppo"):
+        TrainConfig(algorithm="bpp", clip_kl=0.05)

@@ -93,9 +93,9 @@ def test_moving_the_scene_moves_the_action(variant, dtype, quaternion, translati
 
 
 @pytest.mark.parametrize("dtype", TOLERANCE, ids=str)
-@pytest.mark.parametrize("name", sorted(POLICIES))
+@pytest.mark.parametrize("name", sorted(set(POLICIES) - {"hepi"}))
 def test_only_equivariant_policies_are_equivariant(name, dtype):
-    """One test for all four policies: `grpd` and `empn` pass it, the other two must fail it.
+    """One test for four policies: `grpd` and `empn` pass it, the other two must fail it.
 
     Over 30 random scenes, sizes and motions. Of those that are not equivariant the *smallest* error
     counts, and of their outputs the mean action, the standard deviation and the value each.

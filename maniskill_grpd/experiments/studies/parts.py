@@ -26,7 +26,7 @@ HETERO_GNN = ARMS["hetero_gnn"]
 TRANSFORMER = ARMS["transformer"]
 BASELINES = (EMPN, HETERO_GNN, TRANSFORMER)
 """Those that the paper compares GRPD with: its claims speak of them."""
-ALL_POLICIES = (GRPD, *(arm for arm in ARMS.values() if arm != GRPD))
+ALL_POLICIES = (GRPD, *BASELINES)
 
 
 def at_resolution(num_nodes: int) -> Condition:

@@ -18,6 +18,8 @@ from maniskill_grpd.policies.layers.merged_nodes import MergedNodes
 from maniskill_grpd.policies.layers.mlp_messages import MLPMessages
 from maniskill_grpd.policies.layers.naive_decoder import NaiveDecoder
 from maniskill_grpd.policies.layers.node_embedding import NodeEmbedding
+from maniskill_grpd.policies.layers.orientation_grid import orientation_grid
+from maniskill_grpd.policies.layers.orientation_round import OrientationRound
 from maniskill_grpd.policies.layers.per_actuator import PerActuator
 from maniskill_grpd.policies.layers.radial_basis import RadialBasis
 from maniskill_grpd.policies.layers.raw_decoder import RawDecoder
@@ -44,6 +46,7 @@ __all__ = [
     "NaiveDecoder",
     "NeighborEdges",
     "NodeEmbedding",
+    "OrientationRound",
     "PerActuator",
     "RadialBasis",
     "RawDecoder",
@@ -52,6 +55,7 @@ __all__ = [
     "ReceiverGate",
     "SteerableConv",
     "VectorNorm",
+    "orientation_grid",
     "solid_harmonics",
     "vector_norms",
 ]
