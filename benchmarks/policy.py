@@ -130,9 +130,9 @@ class PerEdgeConv(nn.Module):
             scalars, vectors = scalars[:, None], vectors[:, :, None]
         else:
             batch = scalars.shape[0]
-            factors = edges.weights.permute(0, 3, 1, 2, 4)  # (M, B R, K, Q, 1)
-            factors = factors.unflatten(1, (batch, -1))
-            index = edges.index.t().reshape(batch, -1, edges.index.shape[0])  # (B, R, K)
+            factors = edges.weights.permute(1, 0, 4, 2, 3).unsqueeze(-1)  # (M, B, R, K, Q, 1)
+            first = torch.arange(batch, device=scalars.device)[:, None, None] * scalars.shape[1]
+            index = edges.senders.transpose(1, 2) + first  # (B, R, K)
             scalars = scalars.flatten(0, 1)[index]
             vectors = vectors.flatten(1, 2)[:, index]
         still, *direction = factors

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 
@@ -122,5 +123,6 @@ def _next_share(share: float, value: float, delta: float, inside: float, outside
 
 def _joint_kl(learner: Learner, batch: Batch) -> torch.Tensor:
     """Return KL(policy || old policy) of whole actions, (M,)."""
-    dist, _ = autocast_policy(learner.policy, batch.graph, learner.config.amp)
+    decide = partial(learner.policy.evaluate, actor=True, critic=False)
+    dist, _ = autocast_policy(decide, learner.policy.prepare(batch.graph), learner.config.amp)
     return dist.kl_parts(batch.old).total

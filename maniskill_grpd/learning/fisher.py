@@ -78,6 +78,7 @@ class FisherBPP(Algorithm):
 
     def update(self, learner: Learner, rollout: Rollout) -> dict[str, float]:
         """See `Algorithm.update`."""
+        rollout = learner.prepare(rollout)
         batch = learner.normalize_advantages(rollout.whole())
         actor, critic = split_parameters(learner, batch)
         metrics = self._step_policy(learner, batch, actor)
@@ -108,7 +109,7 @@ class FisherBPP(Algorithm):
         """Return the surrogate with entropy bonus, and its gradient, over all processes."""
         value, gradient = torch.zeros((), device=batch.actions.device), 0.0
         for chunk, share in _shares(batch):
-            objective = self._objective(learner.evaluate(chunk.graph)[0], chunk) * share
+            objective = self._objective(learner.evaluate(chunk)[0], chunk) * share
             gradient = gradient + _flatten(torch.autograd.grad(objective, actor))
             value = value + objective.detach()
         size = learner.workers.size
@@ -137,7 +138,7 @@ class FisherBPP(Algorithm):
         """Return the objective, the average KL parts, and what is logged, over all processes."""
         rows: list[Metrics] = []
         for chunk, share in _shares(batch):
-            dist = learner.evaluate(chunk.graph)[0]
+            dist = learner.evaluate(chunk)[0]
             parts = dist.kl_parts(chunk.old)
             means = {f"{k}_kl": part for k, part in self.bounds.average(dist, parts)._asdict().items()}
             row = {
@@ -166,7 +167,7 @@ def split_parameters(learner: Learner, batch: Batch) -> tuple[list[torch.Tensor]
         batch: Any transitions.
     """
     parameters = [p for p in learner.policy.parameters() if p.requires_grad]
-    dist, _ = learner.evaluate(next(_shares(batch))[0].graph)
+    dist, _ = learner.evaluate(next(_shares(batch))[0])
     probe = sum(tensor.sum() for _, tensor in dist.items() if tensor.is_floating_point())
     gradients = torch.autograd.grad(probe, parameters, allow_unused=True)
     pairs = list(zip(parameters, gradients, strict=True))
@@ -187,7 +188,7 @@ def fisher_product(learner: Learner, samples: Batch, actor: list[torch.Tensor], 
     """
     product = torch.zeros_like(vector)
     for chunk, _ in _shares(samples):
-        log_prob = learner.evaluate(chunk.graph)[0].log_prob(chunk.actions)
+        log_prob = learner.evaluate(chunk)[0].log_prob(chunk.actions)
         weights = torch.zeros_like(log_prob, requires_grad=True)
         pulled = torch.autograd.grad(log_prob, actor, weights, create_graph=True)
         along = torch.autograd.grad(_flatten(pulled) @ vector, weights, retain_graph=True)[0]
@@ -234,7 +235,7 @@ def _fit_values(learner: Learner, rollout: Rollout, critic: list[torch.Tensor]) 
 def _accumulate_value_gradients(learner: Learner, batch: Batch, critic: list[torch.Tensor]) -> Metrics:
     total = torch.zeros((), device=batch.actions.device)
     for chunk in learner.chunks(batch):
-        loss = learner.value_loss(learner.evaluate(chunk.graph)[1], chunk) * len(chunk) / len(batch)
+        loss = learner.value_loss(learner.evaluate(chunk)[1], chunk) * len(chunk) / len(batch)
         gradients = torch.autograd.grad(learner.config.vf_coef * loss, critic)
         for parameter, gradient in zip(critic, gradients, strict=True):
             parameter.grad = gradient if parameter.grad is None else parameter.grad + gradient

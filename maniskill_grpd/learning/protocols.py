@@ -69,6 +69,14 @@ class ActorCritic(Protocol):
     def __call__(self, graph: Mapping[str, Any]) -> tuple[ActionDistribution, torch.Tensor]:
         """Return the distribution of actions and the value output (B,)."""
 
+    def prepare(self, graph: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what can be computed of graphs before any weight is used, nested tensors (B, ...)."""
+
+    def evaluate(
+        self, graph: Mapping[str, Any], *, actor: bool, critic: bool
+    ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
+        """Return distribution and value output of prepared graphs, each None if not asked for."""
+
     def value(self, graph: Mapping[str, Any]) -> torch.Tensor:
         """Return the value output alone, (B,)."""
 

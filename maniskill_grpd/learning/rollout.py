@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,17 @@ def map_graph(function: Callable[[torch.Tensor], torch.Tensor], graph: Graph) ->
     return {key: apply(value) for key, value in graph.items()}
 
 
+def cat_graphs(graphs: Sequence[Graph]) -> Graph:
+    """Join nested dictionaries of tensors along their first dimension."""
+
+    def join(values: list[Any]) -> Any:
+        if values[0] is None:
+            return None
+        return cat_graphs(values) if isinstance(values[0], dict) else torch.cat(values)
+
+    return {key: join([graph[key] for graph in graphs]) for key in graphs[0]}
+
+
 def graph_items(graph: Graph, prefix: str = "") -> Iterator[tuple[str, torch.Tensor]]:
     """Yield the tensors of a nested dictionary with dotted names, such as "object.position"."""
     for key, value in graph.items():
@@ -39,7 +51,9 @@ class Batch:
     """M transitions as the losses see them. The old policy is the one that collected the rollout."""
 
     graph: Graph
-    """Raw observation graphs, leading dimension M."""
+    """Observation graphs, leading dimension M: raw, or what `Policy.prepare` made of them."""
+    is_prepared: bool = False
+    """Whether the graphs are prepared."""
     actions: torch.Tensor
     """Actions that were taken, (M, A * 3), or (M, A * 4) with grippers."""
     log_probs: torch.Tensor
@@ -74,6 +88,7 @@ class Batch:
         """Apply a function to every tensor, those of the graph included."""
         return Batch(
             graph=map_graph(function, self.graph),
+            is_prepared=self.is_prepared,
             actions=function(self.actions),
             log_probs=function(self.log_probs),
             old=self.old.map(function),
@@ -100,6 +115,7 @@ class Rollout:
         self.num_steps = num_steps
         self.num_envs = num_envs
         self.graph = map_graph(like, graph)
+        self.is_prepared = False
         self.actions = like(dist.mode)
         self.distribution = dist.map(like)
         self.log_probs, self.rewards, self.values = like(scalars), like(scalars), like(scalars)
@@ -131,6 +147,13 @@ class Rollout:
         """Return the graphs of all transitions as views, (T * B, ...) per tensor."""
         return map_graph(lambda tensor: tensor.flatten(0, 1), self.graph)
 
+    def with_prepared(self, graph: Graph) -> Rollout:
+        """Return this rollout with prepared graphs, (T * B, ...) per tensor, in place of the raw ones."""
+        prepared = copy.copy(self)
+        prepared.graph = map_graph(lambda tensor: tensor.unflatten(0, (self.num_steps, self.num_envs)), graph)
+        prepared.is_prepared = True
+        return prepared
+
     def whole(self) -> Batch:
         """Return all transitions in the flattened (T * B) order, as views."""
         return self._batch(lambda tensor: tensor.flatten(0, 1))
@@ -146,6 +169,7 @@ class Rollout:
     def _batch(self, pick: Callable[[torch.Tensor], torch.Tensor]) -> Batch:
         return Batch(
             graph=map_graph(pick, self.graph),
+            is_prepared=self.is_prepared,
             actions=pick(self.actions),
             log_probs=pick(self.log_probs),
             old=self.distribution.map(pick),

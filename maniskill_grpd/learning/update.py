@@ -7,6 +7,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
@@ -14,7 +15,7 @@ import torch
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.learning.protocols import ActorCritic
-from maniskill_grpd.learning.rollout import Batch, Graph, Rollout
+from maniskill_grpd.learning.rollout import Batch, Graph, Rollout, cat_graphs, graph_items, map_graph
 from maniskill_grpd.learning.rotation_augmentation import random_rotations, rotate_batch
 from maniskill_grpd.learning.schedule import Coefficients
 from maniskill_grpd.learning.value_scale import ValueScale
@@ -27,11 +28,14 @@ if TYPE_CHECKING:
 _CPU_CHUNK_SIZE = 256
 """Larger chunks fall out of the cache: 1600 graphs at once cost a third more per graph than 200."""
 
+_LARGEST_PREPARED = 2**29
+"""Most bytes of prepared graphs that are kept during an update; larger ones are prepared anew in every pass."""
+
 Metrics = dict[str, torch.Tensor]
 """Detached scalars by name."""
 
-Forward = Callable[[Graph], tuple[ActionDistribution, torch.Tensor]]
-"""From raw graphs to the distribution of actions and value outputs (M,)."""
+Forward = Callable[[Graph], tuple[ActionDistribution, torch.Tensor | None]]
+"""From graphs to the distribution of actions and value outputs (M,)."""
 
 
 @dataclass(kw_only=True)
@@ -55,13 +59,28 @@ class Learner:
     workers: Workers = field(default_factory=Workers)
 
     def __post_init__(self) -> None:
-        self._forward = self.policy
+        self._evaluate = self.policy.evaluate
         if self.config.compile:
-            self._forward = torch.compile(self.policy, dynamic=False)
+            self._evaluate = torch.compile(self.policy.evaluate, dynamic=False)
 
-    def evaluate(self, graph: Graph) -> tuple[ActionDistribution, torch.Tensor]:
-        """Return the policy's distribution and value outputs (M,) of raw graphs."""
-        return autocast_policy(self._forward, graph, self.config.amp)
+    def evaluate(self, batch: Batch) -> tuple[ActionDistribution, torch.Tensor]:
+        """Return the policy's distribution and value outputs (M,) at the states of a batch."""
+        graph = batch.graph if batch.is_prepared else self.policy.prepare(batch.graph)
+        return autocast_policy(partial(self._evaluate, actor=True, critic=True), graph, self.config.amp)
+
+    @torch.no_grad()
+    def prepare(self, rollout: Rollout) -> Rollout:
+        """Do once what all passes over a rollout share, if it is not too large to keep; turned graphs share nothing."""
+        if self.config.rotation_augmentation != "none":
+            return rollout
+        flat = rollout.flat_graph()
+        count, size = rollout.num_steps * rollout.num_envs, self._chunk_size(rollout.actions.device)
+        parts: list[Graph] = []
+        for start in range(0, count, size):
+            parts.append(self.policy.prepare(map_graph(lambda tensor, start=start: tensor[start : start + size], flat)))
+            if start == 0 and _num_bytes(parts[0]) * count > min(size, count) * _LARGEST_PREPARED:
+                return rollout
+        return rollout.with_prepared(cat_graphs(parts))
 
     def minibatches(self, rollout: Rollout) -> Iterator[Batch]:
         """Yield the minibatches of one epoch, in random order, advantages normalised if so configured."""
@@ -89,9 +108,10 @@ class Learner:
 
     def chunks(self, batch: Batch) -> list[Batch]:
         """Split a batch into parts whose activations stay small."""
-        on_cpu = batch.actions.device.type == "cpu"
-        size = self.config.chunk_size or (_CPU_CHUNK_SIZE if on_cpu else len(batch))
-        return batch.split(size)
+        return batch.split(self._chunk_size(batch.actions.device))
+
+    def _chunk_size(self, device: torch.device) -> int:
+        return self.config.chunk_size or (_CPU_CHUNK_SIZE if device.type == "cpu" else self.config.batch_size)
 
     def value_loss(self, outputs: torch.Tensor, batch: Batch) -> torch.Tensor:
         """Return half the mean squared error of value outputs, as CleanRL and ManiSkill have it."""
@@ -197,6 +217,7 @@ class FirstOrderAlgorithm(Algorithm):
 def update_policy(learner: Learner, algorithm: FirstOrderAlgorithm, rollout: Rollout) -> dict[str, float]:
     """Take `update_epochs` passes over a rollout; see `Algorithm.update`."""
     config, policy = learner.config, learner.policy
+    rollout = learner.prepare(rollout)
     rows: list[Metrics] = []
     for epoch in range(config.update_epochs):
         rows = []
@@ -237,19 +258,24 @@ def apply_gradients(learner: Learner, parameters: list[torch.Tensor], metrics: M
     return norm.detach()
 
 
-def autocast_policy(forward: Forward, graph: Graph, enabled: bool) -> tuple[ActionDistribution, torch.Tensor]:
+def _num_bytes(graph: Graph) -> int:
+    return sum(tensor.numel() * tensor.element_size() for _, tensor in graph_items(graph))
+
+
+def autocast_policy(forward: Forward, graph: Graph, enabled: bool) -> tuple[ActionDistribution, torch.Tensor | None]:
     """Evaluate a policy, its matrix products in bfloat16 if enabled; the results are float32.
 
     Args:
-        forward: The policy or a compiled form of it.
-        graph: Raw graphs.
+        forward: The policy, or the part of it that takes prepared graphs.
+        graph: What it takes.
         enabled: Whether to use bfloat16.
     """
     if not enabled:
         return forward(graph)
-    with torch.autocast(graph["gravity"].device.type, dtype=torch.bfloat16):
+    with torch.autocast(graph["object"]["mask"].device.type, dtype=torch.bfloat16):
         dist, outputs = forward(graph)
-    return dist.map(lambda tensor: tensor.float() if tensor.is_floating_point() else tensor), outputs.float()
+    dist = dist.map(lambda tensor: tensor.float() if tensor.is_floating_point() else tensor)
+    return dist, None if outputs is None else outputs.float()
 
 
 def summarize(rows: list[Metrics], workers: Workers) -> dict[str, float]:
@@ -262,7 +288,7 @@ def _accumulate_gradients(learner: Learner, algorithm: FirstOrderAlgorithm, batc
     """Backpropagate the loss of a minibatch, in chunks whose activations stay small."""
     rows, shares = [], []
     for chunk in learner.chunks(batch):
-        dist, outputs = learner.evaluate(chunk.graph)
+        dist, outputs = learner.evaluate(chunk)
         projected = algorithm.project(dist, chunk.old)
         policy_loss, metrics = algorithm.policy_loss(dist, projected, chunk)
         value_loss = learner.value_loss(outputs, chunk)

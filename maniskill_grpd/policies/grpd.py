@@ -11,7 +11,7 @@ from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
 from maniskill_grpd.policies.encoded_policy import EncodedPolicy, Features, HeadOptions, equivariant_mean
-from maniskill_grpd.policies.layers import EdgeGeometry, NodeEmbedding, RawNodeEmbedding
+from maniskill_grpd.policies.layers import EdgeGeometry, NodeEmbedding, RawNodeEmbedding, edges_from_tensors, edges_to_tensors
 from maniskill_grpd.policies.message_round import MessageRound
 from maniskill_grpd.policies.shared_encoder import SharedEncoder
 
@@ -98,13 +98,18 @@ class GRPD(EncodedPolicy):
         """See `EncodedPolicy`."""
         return SharedEncoder(schema, options) if options.weights == "shared" else GRPDEncoder(schema, options)
 
+    def prepare(self, graph: Mapping[str, Any]) -> dict[str, Any]:
+        """See `Policy.prepare`."""
+        scaled = super().prepare(graph)
+        return self.encoder.prepare(scaled) if isinstance(self.encoder, GRPDEncoder) else scaled
+
     def make_mean(self, options: GRPDOptions) -> nn.Module:
         """See `EncodedPolicy`."""
         return equivariant_mean(options)
 
 
 class GRPDEncoder(nn.Module):
-    """Message passing from a normalised graph to features of all nodes (eq. 36-41).
+    """Message passing from a prepared graph to features of all nodes (eq. 36-41).
 
     Args:
         schema: What the graphs hold.
@@ -137,30 +142,58 @@ class GRPDEncoder(nn.Module):
         """Encode a graph.
 
         Args:
-            graph: A normalised graph.
+            graph: What `prepare` returned.
 
         Returns:
             (scalars (B, n, C), vectors (3, B, n, D)) of object nodes and of actuators.
         """
-        nodes, grippers = graph["object"], graph["actuator"]
-        gravity = graph["gravity"]
-        # Component first, like all vectors inside the network.
-        points = nodes["position"].movedim(-1, 0).contiguous()
-        tools = grippers["position"].movedim(-1, 0).contiguous()
-        objects = self._embed(self.embed_object, nodes, gravity)
+        edges = graph["edges"]
+        objects = self._embed(self.embed_object, graph["object"])
         if len(self.object_rounds):
-            edges = self.local_geometry.neighbors(points, nodes["mask"], nodes["neighbors"])
+            local = edges_from_tensors(edges["local"], self.local_geometry.basis.num_basis)
             for message_round in self.object_rounds:
-                objects = message_round(objects, objects, edges)
-        actuators = self._embed(self.embed_actuator, grippers, gravity)
-        edges = self.actuator_geometry.complete(tools, grippers["mask"], tools, exclude_self=True)
-        actuators = self.actuator_round(actuators, actuators, edges)
+                objects = message_round(objects, objects, local)
+        actuators = self._embed(self.embed_actuator, graph["actuator"])
+        between = edges_from_tensors(edges["between"], self.actuator_geometry.basis.num_basis)
+        actuators = self.actuator_round(actuators, actuators, between)
         if self.global_round is not None:
-            edges = self.global_geometry.complete(points, nodes["mask"], tools)
-            actuators = self.global_round(objects, actuators, edges)
+            across = edges_from_tensors(edges["across"], self.global_geometry.basis.num_basis)
+            actuators = self.global_round(objects, actuators, across)
         return objects, actuators
 
-    def _embed(self, embedding: nn.Module, nodes: Mapping[str, torch.Tensor], gravity: torch.Tensor) -> Features:
+    def prepare(self, graph: Mapping[str, Any]) -> dict[str, Any]:
+        """Compute what needs no weights: inputs in all their forms, and kernel factors of all edges.
+
+        Args:
+            graph: A normalised graph.
+
+        Returns:
+            What `forward` takes; nested tensors (B, ...).
+        """
+        nodes, grippers = graph["object"], graph["actuator"]
+        # Component first, like all vectors inside the network.
+        points, tools = (kind["position"].movedim(-1, 0).contiguous() for kind in (nodes, grippers))
+        edges = {"between": self.actuator_geometry.complete(tools, grippers["mask"], tools, exclude_self=True)}
+        if len(self.object_rounds):
+            edges["local"] = self.local_geometry.neighbors(points, nodes["mask"], nodes["neighbors"])
+        if self.global_round is not None:
+            edges["across"] = self.global_geometry.complete(points, nodes["mask"], tools)
+        return {
+            "object": self._inputs(nodes, graph["gravity"]),
+            "actuator": self._inputs(grippers, graph["gravity"]),
+            "edges": {name: edges_to_tensors(kind) for name, kind in edges.items()},
+        }
+
+    def _inputs(self, nodes: Mapping[str, torch.Tensor], gravity: torch.Tensor) -> dict[str, torch.Tensor]:
+        """What the embedding takes of the nodes of one type, and their mask."""
+        if self.has_raw_coordinates:
+            kept = {key: nodes[key] for key in ("mask", "position", "vectors", "scalars")}
+            return {**kept, "gravity": gravity}
+        lifted, invariants = NodeEmbedding.lift_graphs(nodes["vectors"], nodes["scalars"], gravity)
+        return {"mask": nodes["mask"], "lifted": lifted, "invariants": invariants}
+
+    def _embed(self, embedding: nn.Module, inputs: Mapping[str, torch.Tensor]) -> Features:
         """First features of the nodes of one type."""
-        places = (nodes["position"],) if self.has_raw_coordinates else ()
-        return embedding(*places, nodes["vectors"], nodes["scalars"], gravity)
+        if self.has_raw_coordinates:
+            return embedding(*(inputs[key] for key in ("position", "vectors", "scalars", "gravity")))
+        return embedding.embed(inputs["lifted"], inputs["invariants"])

@@ -39,14 +39,28 @@ class Policy(nn.Module, abc.ABC):
         self.normalizer = GraphNormalizer(schema)
         self.config: dict[str, Any] = {"name": self.name, "schema": schema.to_dict(), "options": dict(options)}
 
+    def prepare(self, graph: Mapping[str, Any]) -> dict[str, Any]:
+        """Compute what depends on the observations and their scales, but not on any weight.
+
+        Whoever evaluates the same graphs with changing weights does this once.
+
+        Args:
+            graph: Raw graphs.
+
+        Returns:
+            What `evaluate` takes, nested tensors (B, ...) of which graphs may be picked: here the normalised graphs.
+        """
+        self.schema.validate(graph)
+        return self.normalizer(graph)
+
     @abc.abstractmethod
     def evaluate(
         self, graph: Mapping[str, Any], *, actor: bool, critic: bool
     ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
-        """Compute what is asked for, in one shared pass.
+        """Compute what is asked for of prepared graphs, in one shared pass.
 
         Args:
-            graph: A normalised graph.
+            graph: What `prepare` returned.
             actor: Whether the distribution is wanted.
             critic: Whether the value is wanted.
 
@@ -92,5 +106,4 @@ class Policy(nn.Module, abc.ABC):
         return action.float()
 
     def _evaluate_raw(self, graph: Mapping[str, Any], *, actor: bool, critic: bool) -> tuple[Any, Any]:
-        self.schema.validate(graph)
-        return self.evaluate(self.normalizer(graph), actor=actor, critic=critic)
+        return self.evaluate(self.prepare(graph), actor=actor, critic=critic)

@@ -71,7 +71,7 @@ def node_contribution(policy: Policy, graph: Graph) -> torch.Tensor:
 @torch.no_grad()
 def node_embedding(policy: Policy, graph: Graph) -> torch.Tensor:
     """Invariant features of the object nodes after message passing, (N, C + D), B = 1."""
-    scalars, vectors = policy.encoder(policy.normalizer(graph))[0]
+    scalars, vectors = policy.encoder(policy.prepare(graph))[0]
     return torch.cat([scalars[0], torch.linalg.vector_norm(vectors[:, 0], dim=0)], dim=-1)
 
 

@@ -209,3 +209,16 @@ def test_bfloat16_products_leave_float32_results_and_ratios_near_one():
     assert {t.dtype for t in (dist.mean, dist.std, dist.gripper_logits, values)} == {torch.float32}
     assert not torch.equal(dist.gripper_logits, exact.gripper_logits)
     torch.testing.assert_close(dist.log_prob(batch.actions), batch.log_probs, rtol=0.02, atol=0.05)
+
+
+def test_preparing_once_and_in_every_pass_gives_the_same_update(monkeypatch):
+    """Rollouts too large to keep prepared are prepared chunk by chunk, with the same weights in the end."""
+    weights = []
+    for limit in (2**29, 0):
+        monkeypatch.setattr("maniskill_grpd.learning.update._LARGEST_PREPARED", limit)
+        policy = ToyPolicy()
+        rollout, _ = collect(policy)
+        assert make_learner(policy).prepare(rollout).is_prepared == (limit > 0)
+        run_update(policy, rollout)
+        weights.append(policy.state_dict())
+    assert all(torch.equal(tensor, weights[1][name]) for name, tensor in weights[0].items())

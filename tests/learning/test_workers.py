@@ -108,7 +108,7 @@ def one_step(workers):
     learner = make_learner(policy)
     learner.workers = workers
     batch = learner.normalize_advantages(rollout.select(index))
-    dist, outputs = learner.evaluate(batch.graph)
+    dist, outputs = learner.evaluate(batch)
     algorithm = ALGORITHMS[CONFIG.algorithm].from_config(CONFIG)
     loss, metrics = algorithm.policy_loss(dist, algorithm.project(dist, batch.old), batch)
     (loss + learner.value_loss(outputs, batch)).backward()

@@ -137,9 +137,17 @@ class ToyPolicy(nn.Module):
         nn.init.zeros_(self.mean.weight)
         self.log_std = nn.Parameter(torch.tensor(-0.5))
 
+    def prepare(self, graph):
+        """Return scaled graphs."""
+        return self.normalizer(graph)
+
     def forward(self, graph):
         """Return distribution and value."""
-        nodes = self.normalizer(graph)["actuator"]
+        return self.evaluate(self.prepare(graph))
+
+    def evaluate(self, graph, *, actor=True, critic=True):
+        """Return distribution and value of scaled graphs."""
+        nodes = graph["actuator"]
         x = torch.cat([nodes["vectors"].flatten(2), nodes["scalars"]], -1)
         mean = self.mean(self.trunk(x))
         std = self.log_std.exp().expand(mean.shape[:-1]).unsqueeze(-1)

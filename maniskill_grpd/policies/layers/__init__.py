@@ -9,7 +9,7 @@ from maniskill_grpd.policies.layers.attention_block import AttentionBlock
 from maniskill_grpd.policies.layers.channel_first_linear import ChannelFirstLinear
 from maniskill_grpd.policies.layers.deep_sets_value import DeepSetsValue
 from maniskill_grpd.policies.layers.direction_magnitude_decoder import DirectionMagnitudeDecoder
-from maniskill_grpd.policies.layers.edges import CompleteEdges, EdgeGeometry, NeighborEdges
+from maniskill_grpd.policies.layers.edges import CompleteEdges, EdgeGeometry, NeighborEdges, edges_from_tensors, edges_to_tensors
 from maniskill_grpd.policies.layers.equivariant_update import EquivariantUpdate, vector_norms
 from maniskill_grpd.policies.layers.gripper_head import GripperHead
 from maniskill_grpd.policies.layers.invariant_std import InvariantStd
@@ -55,6 +55,8 @@ __all__ = [
     "ReceiverGate",
     "SteerableConv",
     "VectorNorm",
+    "edges_from_tensors",
+    "edges_to_tensors",
     "orientation_grid",
     "solid_harmonics",
     "vector_norms",

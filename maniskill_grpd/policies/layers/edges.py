@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -54,13 +55,16 @@ class NeighborEdges:
     """Edges from a short list of neighbours to each of R receivers.
 
     Attributes:
-        index: Row of the sender in the flattened (B * N, F) features, (K, B * R); padding points at
-            the first row.
-        weights: Kernel factors, (M, K, Q, B * R, 1); zero on padding.
+        senders: Row of the sender in its graph, int64 (B, K, R); zero on padding.
+        weights: Kernel factors, (B, M, K, Q, R); zero on padding.
     """
 
-    index: torch.Tensor
+    senders: torch.Tensor
     weights: torch.Tensor
+
+    def rows(self) -> torch.Tensor:
+        """Kernel factors as columns over the receivers of all graphs, (M, K, Q, B * R, 1)."""
+        return self.weights.permute(1, 2, 3, 0, 4).flatten(3).unsqueeze(-1)
 
     def gather(self, features: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Features of the neighbours.
@@ -72,11 +76,30 @@ class NeighborEdges:
             L * K tensors (B * R, F); the neighbours of one leading index follow each other.
         """
         leading, batch, count, width = features.shape
-        offset = torch.arange(leading, device=features.device) * (batch * count)
+        first = torch.arange(leading * batch, device=features.device).view(leading, 1, batch, 1) * count
         # One gather along the first axis, whose backward pass is one scatter of whole rows.
-        index = (self.index + offset[:, None, None]).reshape(-1)
-        gathered = features.reshape(-1, width).index_select(0, index)
-        return gathered.view(-1, self.index.shape[1], width).unbind(0)
+        index = self.senders.transpose(0, 1) + first  # (L, K, B, R)
+        gathered = features.reshape(-1, width).index_select(0, index.reshape(-1))
+        return gathered.view(-1, index.shape[2] * index.shape[3], width).unbind(0)
+
+
+def edges_to_tensors(edges: CompleteEdges | NeighborEdges) -> dict[str, torch.Tensor]:
+    """Return what edges hold as tensors whose first axis is that of the graphs."""
+    if isinstance(edges, CompleteEdges):
+        return {"weights": edges.weights}
+    return {"weights": edges.weights, "senders": edges.senders}
+
+
+def edges_from_tensors(tensors: Mapping[str, torch.Tensor], num_radial: int) -> CompleteEdges | NeighborEdges:
+    """Rebuild the edges of which `edges_to_tensors` made tensors, or of some of their graphs.
+
+    Args:
+        tensors: What it returned.
+        num_radial: Radial functions Q.
+    """
+    if "senders" in tensors:
+        return NeighborEdges(tensors["senders"], tensors["weights"])
+    return CompleteEdges(tensors["weights"], num_radial)
 
 
 class EdgeGeometry(nn.Module):
@@ -188,8 +211,9 @@ class EdgeGeometry(nn.Module):
         """As `neighbors`, always as lists."""
         batch, count, _ = neighbors.shape
         neighbors = neighbors.permute(2, 0, 1)
+        senders = neighbors.clamp(min=0)
         first = torch.arange(batch, device=neighbors.device)[:, None] * position.shape[2]
-        index = (neighbors.clamp(min=0) + first).reshape(-1, batch * count)
+        index = (senders + first).reshape(-1, batch * count)
         rows = position.reshape(3, -1)
         own = rows if receivers is None else receivers.reshape(3, -1)
         offsets = rows[:, index] - own[:, None]  # (3, K, B R)
@@ -200,7 +224,8 @@ class EdgeGeometry(nn.Module):
         radial = torch.stack(radial, dim=1) * valid[:, None]  # (K, Q, B R)
         share = radial.sum(0) + _SMALLEST_SHARE * valid.sum(0).clamp(min=1.0)
         weights = torch.stack(harmonics)[:, :, None] * (radial / share)
-        return NeighborEdges(index, weights.unsqueeze(-1))
+        # The order in memory stays that of `rows`.
+        return NeighborEdges(senders.transpose(0, 1), weights.unflatten(-1, (batch, count)).permute(3, 0, 1, 2, 4))
 
     def _factors(self, offsets: torch.Tensor) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
         """Radial functions and harmonics of offsets (3, ...), each entry (...)."""

@@ -52,9 +52,20 @@ class NodeEmbedding(nn.Module):
 
     def forward(self, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """First features h, V of nodes from their normalised channels."""
-        lifted, invariant = self.lift(vectors, scalars, gravity)
-        hidden, gate = self.to_scalars(invariant).split(self.split, dim=-1)
-        return nn.functional.silu(hidden), self.to_vectors(lifted) * (2.0 * torch.sigmoid(gate))
+        return self.embed(*self.lift_graphs(vectors, scalars, gravity))
+
+    def embed(self, lifted: torch.Tensor, invariants: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """First features h, V of nodes from what `lift_graphs` returned."""
+        hidden, gate = self.to_scalars(invariants.transpose(0, 1)).split(self.split, dim=-1)
+        return nn.functional.silu(hidden), self.to_vectors(lifted.permute(1, 2, 0, 3)) * (2.0 * torch.sigmoid(gate))
+
+    @classmethod
+    def lift_graphs(
+        cls, vectors: torch.Tensor, scalars: torch.Tensor, gravity: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `lift`, with the axis of the graphs first: (B, L, 3, n) and (B, I, n)."""
+        lifted, invariants = cls.lift(vectors, scalars, gravity)
+        return lifted.permute(2, 0, 1, 3), invariants.transpose(0, 1)
 
     @staticmethod
     def lifted_dims(num_vectors: int, num_scalars: int) -> tuple[int, int]:

@@ -118,15 +118,14 @@ class SteerableConv(nn.Module):
         self, scalars: torch.Tensor, vectors: torch.Tensor, edges: NeighborEdges
     ) -> tuple[list[torch.Tensor], list[Sequence[torch.Tensor]]]:
         """As `_complete`; each entry is (B, R, F), the radial functions of a kind in a row."""
-        batch = scalars.shape[0]
-        shape = (batch, edges.index.shape[1] // batch, -1)
+        shape = (scalars.shape[0], edges.senders.shape[-1], -1)
         still = edges.gather(scalars.unsqueeze(0))
         directed = edges.gather(self.mix(scalars).unsqueeze(0))
         moved = edges.gather(vectors)
         count = len(still)
         x, y, z = moved[:count], moved[count : 2 * count], moved[2 * count :]
         invariants, paths = [], []
-        for weights in edges.weights.unbind(2):
+        for weights in edges.rows().unbind(2):
             one, px, py, pz = (harmonic.unbind(0) for harmonic in weights[:4].unbind(0))
             invariants.append([_sum((one, still)), _sum((px, x), (py, y), (pz, z))])
             kinds = [
