@@ -64,12 +64,12 @@ def test_messages_flow_along_the_same_edges(weights):
     policy = trained_looking_policy(torch.float64, 0, weights=weights)
     graph = make_graph(1, nodes=6, actuators=2, dtype=torch.float64)
     graph["object"]["neighbors"] = torch.tensor([[[1], [0], [-1], [-1], [-1], [-1]]])
-    before_objects, before_tools = policy.encoder(policy.normalizer(graph))
+    before_objects, before_tools = policy.encoder(policy.prepare(graph))
     for node, hears in ((0, [0, 1]), (5, [5])):
         changed = make_graph(1, nodes=6, actuators=2, dtype=torch.float64)
         changed["object"]["neighbors"] = graph["object"]["neighbors"]
         changed["object"]["scalars"][0, node] += 1.0
-        objects, tools = policy.encoder(policy.normalizer(changed))
+        objects, tools = policy.encoder(policy.prepare(changed))
         moved = (objects[0] - before_objects[0]).abs().amax(-1)[0] > 1e-12
         assert moved.nonzero().flatten().tolist() == hears
         assert ((tools[0] - before_tools[0]).abs().amax(-1)[0] > 1e-12).all()
