@@ -124,7 +124,7 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
     algorithm: Literal[tuple(ALGORITHMS)] = "bpp"  # type: ignore[valid-type]
     """bpp (KL trust region) or ppo (clipping)"""
     compile: bool = False
-    """compile the policy for updates; pays in long runs, the first update then takes minutes"""
+    """compile the policy for updates (needs a C++ compiler); the first run waits for it, later ones find its results on disk"""
     amp: bool = False
     """matrix products of the policy in bfloat16; CUDA only"""
     total_timesteps: int = 1_000_000

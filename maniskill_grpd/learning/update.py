@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
+from maniskill_grpd.learning.compilation import compiled
 from maniskill_grpd.learning.finite import NonFiniteError
 from maniskill_grpd.learning.options import OptionGroup
 from maniskill_grpd.learning.protocols import ActorCritic
@@ -61,7 +62,7 @@ class Learner:
     def __post_init__(self) -> None:
         self._evaluate = self.policy.evaluate
         if self.config.compile:
-            self._evaluate = torch.compile(self.policy.evaluate, dynamic=False)
+            self._evaluate = compiled(self.policy.evaluate, next(self.policy.parameters()).device)
 
     def evaluate(self, batch: Batch) -> tuple[ActionDistribution, torch.Tensor]:
         """Return the policy's distribution and value outputs (M,) at the states of a batch."""
