@@ -50,6 +50,11 @@ def collider_body(collider: Collider) -> Body:
     return _unit_body(collider.kind)
 
 
+def mesh_body(vertices: np.ndarray, faces: np.ndarray) -> Body:
+    """Return a body of vertices (V, 3) [m] and triangles (F, 3), for the size (1, ., .)."""
+    return _scaled(vertices, faces)
+
+
 def table_body() -> Body:
     """Return the top of the table in the plane z = 0, for the size (1, ., .)."""
     corners = TABLE_HALF_SIZE * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])

@@ -13,5 +13,5 @@ class Label(IntEnum):
     CLOTH = 2
     ROPE = 3
     GRIPPER = 4
-    """Grippers and arms."""
     OBSTACLE = 5
+    ARM = 6

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 import warp as wp
@@ -23,6 +26,15 @@ Look = tuple[Label, palette.Color, palette.Color]
 """What triangles are, and the colours of front and back."""
 
 
+@dataclass(frozen=True)
+class RigidBodies:
+    """What is neither object nor obstacle, gripper or table: K bodies."""
+
+    bodies: Sequence[tuple[Body, Look]]
+    place: Callable[[], tuple[torch.Tensor, torch.Tensor]]
+    """Returns where they are, (B, K, 3) [m], and their unit quaternions (w, x, y, z), (B, K, 4)."""
+
+
 class SolverScene:
     """Keeps a `TriangleScene` of all worlds of a solver; `update` brings it up to date.
 
@@ -33,14 +45,15 @@ class SolverScene:
         scene: What a `Rasterizer` takes.
     """
 
-    def __init__(self, solver: Solver, *, has_table: bool = True) -> None:
+    def __init__(self, solver: Solver, *, has_table: bool = True, others: RigidBodies | None = None) -> None:
         """Lay out the triangles of a solver's object, colliders and grippers.
 
         Args:
             solver: The worlds; read by every `update`.
             has_table: Whether there is a table.
+            others: Further bodies, such as the links of arms.
         """
-        self._solver = solver
+        self._solver, self._others = solver, others
         self._colliders = [k for k, collider in enumerate(solver.colliders) if collider.kind is not ColliderKind.PLANE]
         self._is_rope = solver.model.is_rope
         self._num_object = (solver.num_nodes + 2 * CAP_RINGS) * TUBE_SIDES if self._is_rope else solver.num_nodes
@@ -72,12 +85,14 @@ class SolverScene:
             wp.launch(place_bodies, dim=dim, inputs=[places.described(), self._num_object, vertices], **where)
 
     def _build_bodies(self, has_table: bool) -> list[tuple[Body, Look]]:
-        """Return colliders, closed grippers, open grippers and table, in the order in which `_write_bodies` places them."""
+        """Return colliders, closed and open grippers, others and table, in the order in which `_write_bodies` places them."""
         solver = self._solver
         bodies = [(collider_body(solver.colliders[k]), (Label.OBSTACLE, palette.SOLID, palette.SOLID)) for k in self._colliders]
         for is_closed, color in ((True, palette.CLOSED_GRIPPER), (False, palette.OPEN_GRIPPER)):
             jaws = gripper_body(is_closed=is_closed, subdivisions=GRIPPER_SUBDIVISIONS)
             bodies += [(jaws, (Label.GRIPPER, color, color))] * solver.num_grippers
+        if self._others is not None:
+            bodies += self._others.bodies
         if has_table:
             bodies.append((table_body(), (Label.TABLE, palette.TABLE, palette.TABLE)))
         return bodies
@@ -94,6 +109,9 @@ class SolverScene:
             place.positions[:, num:end] = solver.gripper_positions
             place.active[:, num:end] = active
             num = end
+        if self._others is not None:
+            end = num + len(self._others.bodies)
+            place.positions[:, num:end], place.rotations[:, num:end] = self._others.place()
 
     def _lay_out(self, bodies: list[tuple[Body, Look]]) -> TriangleScene:
         """Join the triangles of each variant of the object, padded with empty ones, and those of the bodies."""

@@ -6,9 +6,15 @@ import pytest
 import sapien
 import torch
 from gymnasium import spaces
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
+from maniskill_grpd.agents.arms import ARMS
+from maniskill_grpd.agents.arms.link_frames import link_frames
+from maniskill_grpd.agents.arms.meshes import picture_mesh, shape_mesh
+from maniskill_grpd.rendering.labels import Label
+from maniskill_grpd.tasks.pictures.arm_solids import arm_solids
 
 PAIR = ("panda", "panda")
 KEYS = ("panda-0", "panda-1")
@@ -202,12 +208,53 @@ def test_pictures_show_the_arms_where_they_are(make_arms):
         frames = arm.description.robot.frames(base, dict(zip(names, arm.get_qpos()[1].tolist(), strict=True)))
         np.testing.assert_allclose(frames["panda_hand_tcp"][:3, 3], env.solver.gripper_positions[1, index], atol=2e-5)
     solids = env.drawing(1).solids
-    assert len(solids) == 1 + 2 * 17  # the post; nine meshes and eight boxes of each arm
-    tips = np.concatenate([solid.vertices for solid in solids[1:18]])
+    assert len(solids) == 1 + 2 * 11  # the post; eight links, hand and two fingers of each arm
+    assert all(len(solid.faces) <= 625 for solid in solids[1:])
+    tips = np.concatenate([solid.vertices for solid in solids[1:12]])
     assert np.linalg.norm(tips - env.solver.gripper_positions[1, 0].numpy(), axis=1).min() < 0.02
     with_arms = env.render()
     env.scene.arms = None
     assert (env.render() != with_arms).any()
+
+
+def test_links_look_as_large_as_what_they_collide_with():
+    """Both files of a link describe one body: the boxes about them differ by less than 2 cm."""
+    robot = ARMS["panda"].robot
+    for link in ("panda_link1", "panda_link4", "panda_link6", "panda_hand"):
+        bounds = []
+        for mesh, shapes in ((shape_mesh, robot.shapes), (picture_mesh, robot.visuals)):
+            points = np.concatenate([mesh(shape)[0] for shape in shapes[link]])
+            bounds.append(np.stack([points.min(axis=0), points.max(axis=0)]))
+        np.testing.assert_allclose(bounds[0], bounds[1], atol=0.02)
+
+
+def test_cameras_see_the_arms_where_they_are(make_arms):
+    env = make_arms("RopeWrapping-v1", obs_mode="position+segmentation", sensor_configs={"width": 64, "height": 64})
+    obs, _ = env.reset(seed=1)
+    images, params = obs["sensor_data"]["base_camera"], obs["sensor_param"]["base_camera"]
+    assert set(images["segmentation"].unique().tolist()) >= {Label.TABLE, Label.ARM}
+    for world in range(2):
+        seen = images["segmentation"][world, ..., 0] == Label.ARM
+        points = images["position"][world][seen].double() / 1000.0
+        frame = params["cam2world_gl"][world].double()
+        points = (points @ frame[:3, :3].T + frame[:3, 3]).numpy()
+        vertices = np.concatenate([solid.vertices for agent in env._agents for solid in arm_solids(agent.robot, world)])
+        distances, _ = cKDTree(vertices).query(points)
+        assert seen.sum() > 100
+        assert np.quantile(distances, 0.99) < 0.05  # triangles are up to some centimetres large
+
+
+def test_links_are_where_their_joints_have_them(make_arms):
+    env = make_arms("RopeWrapping-v1")
+    env.reset(seed=1)
+    arm = env._agents[1].robot
+    base = np.eye(4)
+    base[:3, :3] = Rotation.from_quat(env.scene.arms.bases[1, 1, 3:].numpy()).as_matrix()
+    base[:3, 3] = env.scene.arms.bases[1, 1, :3].numpy()
+    names = [joint.name for joint in arm.joints]
+    expected = arm.description.robot.frames(base, dict(zip(names, arm.get_qpos()[1].tolist(), strict=True)))
+    for name, frame in link_frames(arm).items():
+        np.testing.assert_allclose(frame[1], expected[name], atol=1e-5)
 
 
 def test_episodes_that_arms_cannot_do_are_drawn_anew_and_counted(make_arms):

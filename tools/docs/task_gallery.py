@@ -1,8 +1,9 @@
-"""Pictures of all tasks: for each a still and a clip of the scripted expert, and one clip of all of them side by side.
+"""Pictures of all tasks: for each a still and a clip of the scripted expert, one clip of all of them side by side, one of arms.
 
 python -m tools.docs.task_gallery [--folder docs/images]
 
-Writes <id of the task>.png and .gif, and tasks.gif. The clips end a second after the expert has succeeded; they run in real time.
+Writes <id of the task>.png and .gif, tasks.gif and arms.gif.
+The clips end a second after the expert has succeeded; they run in real time.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 from mani_skill.utils.registration import REGISTERED_ENVS
 from mani_skill.utils.sapien_utils import look_at
+from mani_skill.utils.wrappers.flatten import FlattenActionSpaceWrapper
 from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
@@ -29,6 +31,8 @@ class Episode(NamedTuple):
     """Where the camera looks [m]; by default where that of the task does."""
     options: dict[str, Any] = {}
     """Options of the task."""
+    position: tuple[float, float, float] | None = None
+    """Where the camera stands [m]; by default where that of the task does."""
 
 
 CLOSE_UPS = {
@@ -38,14 +42,16 @@ CLOSE_UPS = {
     "ClothHanging-v1": Episode(1, 0.42, (0.3, 0.0, -0.25), {"release": True}),
 }
 """Tasks that are shown closer than their cameras do."""
+ARMS = Episode(5, 0.62, (0.0, 0.0, 0.2), {"robot_uids": ("panda", "panda")}, (1.75, -0.5, 1.0))
+"""The episode of ClothFolding-v1 that two Pandas play."""
 STILL_SHARE = 0.6
 """Share of the way to success at which the still is taken."""
 NUM_LAST_FRAMES = 20
 """Frames after the success."""
 FRAME_TIME = 50
 """Milliseconds per frame: a control step."""
-CLIP_SIZE = 320
-"""Side of the clips [pixels]."""
+CLIP_SIZE, ARMS_SIZE = 320, 400
+"""Sides of the clips, and of that of the arms [pixels]."""
 
 
 def episodes() -> dict[str, Episode]:
@@ -65,8 +71,9 @@ def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
     """
     task = REGISTERED_ENVS[env_id].cls
     target = task.CAMERA_TARGET if episode.target is None else episode.target
-    camera = {"fov": episode.field_of_view or task.CAMERA_FOV, "pose": look_at(task.CAMERA_POSITION, target)}
+    camera = {"fov": episode.field_of_view or task.CAMERA_FOV, "pose": look_at(episode.position or task.CAMERA_POSITION, target)}
     env = gym.make(env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options)
+    env = FlattenActionSpaceWrapper(env) if isinstance(env.action_space, gym.spaces.Dict) else env
     env.reset(seed=episode.seed)
     expert = make_expert(env_id, env)
     frames, num_steps = [_frame(env)], None
@@ -127,6 +134,8 @@ def main() -> None:
         write_clip(clips[-1], folder / f"{env_id}.gif")
         print(f"{env_id}: success after {num_steps} steps, {len(frames)} frames")
     write_clip(side_by_side(clips), folder / "tasks.gif")
+    frames, _ = play_expert("ClothFolding-v1", ARMS)
+    write_clip([frame.resize((ARMS_SIZE, ARMS_SIZE), Image.Resampling.BOX) for frame in frames], folder / "arms.gif")
 
 
 if __name__ == "__main__":

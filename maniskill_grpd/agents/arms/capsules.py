@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import trimesh
 
 from maniskill_grpd.agents.arms.arm_description import ArmDescription
-from maniskill_grpd.agents.arms.urdf import Shape
+from maniskill_grpd.agents.arms.meshes import shape_mesh
 from maniskill_grpd.physics import Link
 
 WRISTS = 2
@@ -73,18 +72,6 @@ def fit_capsule(points: np.ndarray) -> Capsule:
     """Return a small capsule about points (n, 3): the smallest of those along their principal axes."""
     _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     return min((_about_axis(points, axis) for axis in axes), key=_volume)
-
-
-@cache
-def shape_mesh(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices (V, 3) [m] and triangles (F, 3) of a shape in the frame of its link."""
-    if shape.file is None:
-        mesh = trimesh.creation.box(shape.size)
-        vertices = mesh.vertices.view(np.ndarray)
-    else:
-        mesh = trimesh.load(shape.file, force="mesh")
-        vertices = mesh.vertices.view(np.ndarray) * shape.size
-    return vertices @ shape.origin[:3, :3].T + shape.origin[:3, 3], mesh.faces.view(np.ndarray)
 
 
 def _about_axis(points: np.ndarray, axis: np.ndarray) -> Capsule:

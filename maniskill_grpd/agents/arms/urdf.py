@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 REVOLUTE, PRISMATIC = "revolute", "prismatic"
 MOVES = {"revolute": REVOLUTE, "continuous": REVOLUTE, "prismatic": PRISMATIC}
 """How joints move that are not fixed, by their type in the file."""
+KINDS = ("collision", "visual")
+"""What shapes are for."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class Robot:
     joints: dict[str, Joint]
     shapes: dict[str, tuple[Shape, ...]]
     """Shapes of every link for collisions, by its name: meshes of some hundred triangles, and boxes."""
+    visuals: dict[str, tuple[Shape, ...]]
+    """What every link looks like, by its name: meshes of ten thousands of triangles."""
 
     @property
     def root(self) -> str:
@@ -108,15 +112,8 @@ def read_urdf(file: Path) -> Robot:
     if root.tag != "robot":
         raise ValueError(f"{file} is no URDF file: its root is <{root.tag}>, not <robot>")
     joints = {node.get("name"): _read_joint(file, node) for node in root.findall("joint")}
-    shapes = {
-        link.get("name"): tuple(
-            _read_shape(file, collision)
-            for collision in link.findall("collision")
-            if collision.find("geometry/mesh") is not None or collision.find("geometry/box") is not None
-        )
-        for link in root.findall("link")
-    }
-    return Robot(file, joints, shapes)
+    shapes, visuals = ({link.get("name"): _read_shapes(file, link, kind) for link in root.findall("link")} for kind in KINDS)
+    return Robot(file, joints, shapes, visuals)
 
 
 def transform(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -146,6 +143,14 @@ def _read_joint(file: Path, node: ElementTree.Element) -> Joint:
         lower=lower,
         upper=upper,
         speed=0.0 if motion is None else float(limit.get("velocity", 0)),
+    )
+
+
+def _read_shapes(file: Path, link: ElementTree.Element, kind: str) -> tuple[Shape, ...]:
+    return tuple(
+        _read_shape(file, node)
+        for node in link.findall(kind)
+        if node.find("geometry/mesh") is not None or node.find("geometry/box") is not None
     )
 
 

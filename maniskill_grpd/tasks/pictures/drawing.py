@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from maniskill_grpd.rendering import palette
+
 
 @dataclass(frozen=True)
 class Tube:
@@ -35,6 +37,8 @@ class Solid:
     """(n, 3) [m]."""
     faces: np.ndarray
     """Triangles, counter-clockwise as seen from outside, (F, 3)."""
+    color: palette.Color = palette.SOLID
+    """What it looks like."""
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,7 @@ class NumpyPainter:
     def show(self, drawing: Drawing, *, hide_goal: bool = False) -> None:
         """Draw a world."""
         self._wipe(self._with_table if drawing.has_table else self._empty)
-        parts = [(surface_of(solid), palette.SOLID, palette.SOLID) for solid in drawing.solids]
+        parts = [(surface_of(solid), solid.color, solid.color) for solid in drawing.solids]
         back = palette.BACK if isinstance(drawing.object, Sheet) else palette.FRONT
         parts.append((surface_of(drawing.object), palette.FRONT, back))
         for surface, is_closed in zip(gripper_surfaces(drawing), drawing.closed, strict=True):

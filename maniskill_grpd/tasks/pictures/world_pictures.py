@@ -16,7 +16,7 @@ from mani_skill.utils.visualization.misc import tile_images
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.rendering import SolverScene, palette
 from maniskill_grpd.tasks.options.observation_mode import needs_camera
-from maniskill_grpd.tasks.pictures.arm_solids import arm_solids
+from maniskill_grpd.tasks.pictures.arm_solids import arm_bodies, arm_solids
 from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
@@ -190,7 +190,8 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         """Return cameras of the rasteriser, set up as the task, the agents and the user want them, and what they see."""
         configs = {**parse_camera_configs(self._default_sensor_configs), **parse_camera_configs(self.agent._sensor_configs)}
         configs = camera_configs(configs, self._custom_sensor_configs, "sensor_configs")
-        view = SolverScene(self.solver, has_table=self.HAS_TABLE)
+        others = None if self.scene.arms is None else arm_bodies([agent.robot for agent in self._agents])
+        view = SolverScene(self.solver, has_table=self.HAS_TABLE, others=others)
         carriers: dict[str, Any] = {name: link for agent in self._agents for name, link in agent.robot.links_map.items()}
         positions = self.solver.gripper_positions
         carriers |= {f"gripper_{index}": GripperMount(positions, index) for index in range(self.num_grippers)}

@@ -6,7 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from maniskill_grpd.agents.arms import ARMS, ArmBodies
-from maniskill_grpd.agents.arms.capsules import column_capsule, fit_capsule, link_capsules, shape_mesh
+from maniskill_grpd.agents.arms.capsules import column_capsule, fit_capsule, link_capsules
+from maniskill_grpd.agents.arms.meshes import shape_mesh
 from maniskill_grpd.physics import Solver, rope
 from maniskill_grpd.tasks.options.arm_bases import arm_bases
 
