@@ -15,8 +15,9 @@ class PlannerOptions(OptionGroup):
 
     RANGES: ClassVar[Mapping[str, str]] = {
         "horizon": "[1, inf)",
-        "samples": "[2, inf)",
+        "samples": "[8, inf)",
         "iterations": "[1, inf)",
+        "first_iterations": "[1, inf)",
         "replan": "[1, inf)",
         "std": "(0, inf)",
         "noise_exponent": "[0, 10]",
@@ -33,9 +34,11 @@ class PlannerOptions(OptionGroup):
     """plans that are tried at the same time for each episode, each in a world of its own"""
     iterations: int = 4
     """times that plans are drawn and tried before one is followed"""
+    first_iterations: int = 12
+    """the same for the first plan of an episode, which has nothing to start from"""
     replan: int = 5
     """steps for which a plan is followed"""
-    std: float = 0.5
+    std: float = 1.0
     """standard deviation of the plans that are drawn first, per axis, in units of the largest action"""
     noise_exponent: float = 2.0
     """beta of the noise of plans, whose power falls with frequency as f^-beta: 0 is white, 2 wanders like a random walk"""

@@ -14,21 +14,34 @@ from maniskill_grpd.runs.checkpoints import load_policy
 ROPE = ["--env_kwargs", "resolution=20", "graph_nodes=6", "max_episode_steps=6"]
 TASK = ["--env_id", "RopeShaping-v1", *ROPE]
 SMALL = [
-    *("--horizon", "4", "--replan", "3", "--samples", "4", "--elite_share", "0.5", "--iterations", "2"),
+    *(
+        "--horizon",
+        "4",
+        "--replan",
+        "3",
+        "--samples",
+        "8",
+        "--elite_share",
+        "0.25",
+        "--iterations",
+        "2",
+        "--first_iterations",
+        "3",
+    ),
     *("--num_envs", "2", "--num_episodes", "3", "--sim_backend", "cpu"),
 ]
 SIZES = "--num_envs 4 --num_steps 5 --num_minibatches 2 --update_epochs 1 --eval_freq 0 --total_timesteps 20 --no-capture_video"
 
 
 def test_episodes_are_planned_and_reported_alike_each_time(tmp_path, monkeypatch, capsys):
-    """Two searches of two iterations of four samples of four steps; the last batch of episodes is filled up and cut."""
+    """A search of three iterations and one of two, of eight samples of four steps; the last batch is filled up and cut."""
     monkeypatch.chdir(tmp_path)
     assert "plan" in COMMANDS
     for name in ("one.json", "two.json"):
         assert plan.main([*TASK, *SMALL, "--json", name]) == 0
     assert "3 episodes, seeds 1000000 to 1000002" in capsys.readouterr().out
     one, two = (json.loads((tmp_path / name).read_text()) for name in ("one.json", "two.json"))
-    assert one["episodes"]["plan_steps"] == [2 * 2 * 4 * 4] * 3
+    assert one["episodes"]["plan_steps"] == [(3 + 2) * 8 * 4] * 3
     assert one["planner"]["horizon"] == 4
     assert min(one["episodes"]["plan_seconds"]) > 0.0
     for result in (one, two):
@@ -52,7 +65,7 @@ def test_what_is_recorded_can_be_learned_from_and_what_was_learned_is_refined(tm
     assert plan.main(["--checkpoint", "runs/warm/final_ckpt.pt", "--use_value", *SMALL, "--json", "prior.json"]) == 0
     found = json.loads((tmp_path / "prior.json").read_text())
     assert found["env_id"] == "RopeShaping-v1"
-    assert found["episodes"]["plan_steps"] == [2 * 4 * (4 + 2 * 4)] * 3  # the policy is played once for each search
+    assert found["episodes"]["plan_steps"] == [(2 + 3 + 2) * 8 * 4] * 3  # the policy is played once for each search
     assert plan.main(["--checkpoint", "runs/warm/final_ckpt.pt", "--env_id", "RopeWrapping-v1", *SMALL]) == 1
     assert "trained on other observations" in capsys.readouterr().err
 

