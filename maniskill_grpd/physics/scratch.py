@@ -10,6 +10,7 @@ import warp as wp
 from maniskill_grpd.physics.kernels.contact_search import BLOCK, SLOTS
 from maniskill_grpd.physics.kernels.data import LaneGroups, SelfContacts, SingleGroups, Worlds
 from maniskill_grpd.physics.kernels.lanes import WIDTH, Numbers, Vectors
+from maniskill_grpd.physics.launches import LARGE_BLOCK_DIM
 from maniskill_grpd.physics.model import Model
 
 # Contacts of an object with itself for which there is room in a world, for each of its nodes.
@@ -54,7 +55,7 @@ class WorldGroups:
         self._allocate_columns(nodes, edges, num_grippers, nodes if has_tethers else 1)
         self._allocate_colliders(num_colliders, nodes)
         elements = max(len(model.faces) + len(model.surface_edges) for model in models) if touches_itself else 1
-        self._allocate_elements(elements)
+        self._allocate_elements(elements, nodes if touches_itself else 1)
 
     def assign(self, variants: torch.Tensor) -> None:
         """Put worlds into groups of one variant each, without looking at single worlds from Python; `variants` (B,) int32."""
@@ -114,14 +115,14 @@ class WorldGroups:
         self.data.collider_highs = self._numbers(self.count, 3 * max(count, 1))
         self.data.nearness = self._numbers(self.count, nodes if count else 1)
 
-    def _allocate_elements(self, count: int) -> None:
+    def _allocate_elements(self, count: int, nodes: int) -> None:
         blocks = count // BLOCK + 2  # triangles and edges fill blocks of their own
-        for name in ("element_centers", "element_velocities"):
-            setattr(self.data, name, self._vectors(self.count, count))
-        for name in ("block_centers", "block_velocities"):
-            setattr(self.data, name, self._vectors(self.count, blocks))
-        self.data.element_radii = self._numbers(self.count, count)
-        self.data.block_radii, self.data.block_spreads = (self._numbers(self.count, blocks) for _ in range(2))
+        self.data.element_centers, self.data.element_radii = self._vectors(self.count, count), self._numbers(self.count, count)
+        self.data.block_centers, self.data.block_radii = self._vectors(self.count, blocks), self._numbers(self.count, blocks)
+        self.data.anchors, self.data.touching = self._vectors(self.count, nodes), self._numbers(self.count, nodes)
+        threads = 1 if self.in_lanes else LARGE_BLOCK_DIM
+        self.data.lowest_motions = self._vectors(self.count, threads)
+        self.data.highest_motions = self._vectors(self.count, threads)
 
     # PyTorch aligns memory with cache lines, and so with vector registers.
     def _numbers(self, *shape: int) -> wp.array:
@@ -147,14 +148,16 @@ def allocate_self_contacts(models: Sequence[Model], num_worlds: int, used: bool,
     shapes = {
         "found": ((owners * SLOTS,), wp.int32),
         "found_gaps": ((owners * SLOTS,), wp.float32),
+        "found_reaches": ((owners,), wp.float32),
+        "anchors": ((nodes,), wp.vec3),
+        **dict.fromkeys(("motions", "travels", "slacks", "reaches"), ((), wp.float32)),
+        **dict.fromkeys(("num_pairs", "first_edges", "num_contacts", "first_edge_contacts", "num_sweeps"), ((), wp.int32)),
         **dict.fromkeys(("found_counts", "starts", "ends", "old_starts", "old_ends"), ((owners + 1,), wp.int32)),
-        "num_contacts": ((), wp.int32),
-        "nodes": ((room,), wp.vec4i),
-        **dict.fromkeys(("owners", "elements", "old_elements"), ((room,), wp.int32)),
-        **dict.fromkeys(("thicknesses", "distances"), ((room,), wp.float32)),
-        **dict.fromkeys(("normals", "old_normals", "impulses"), ((room,), wp.vec3)),
-        "entries": ((4 * room,), wp.int32),
-        **dict.fromkeys(("entry_starts", "num_of_node", "num_active"), ((nodes + 1,), wp.int32)),
+        **dict.fromkeys(("pair_nodes", "nodes"), ((room,), wp.vec4i)),
+        **dict.fromkeys(("owners", "elements", "old_elements", "pairs"), ((room,), wp.int32)),
+        **dict.fromkeys(("wakes", "pair_thicknesses", "pair_distances"), ((room,), wp.float32)),
+        **dict.fromkeys(("thicknesses", "distances", "lengths", "insides", "masses"), ((room,), wp.float32)),
+        **dict.fromkeys(("pair_normals", "old_normals", "normals", "starts_of_gaps"), ((room,), wp.vec3)),
     }
     contacts = SelfContacts()
     for name, (shape, dtype) in shapes.items():

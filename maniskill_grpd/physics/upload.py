@@ -13,8 +13,9 @@ from maniskill_grpd.physics.kernels.data import Colliders, Features, Objects, Ti
 from maniskill_grpd.physics.mesh.coloring import color_constraints
 from maniskill_grpd.physics.model import Model
 
-# Searches for contacts of an object with itself in one control step.
-SEARCHES_PER_STEP = 10
+# Distance beyond the thickness up to which a search for contact of an object with itself finds: in mean edge lengths, so that
+# neighbours in a flat mesh are not found, and at least and at most in thicknesses.
+EDGE_MARGIN, LEAST_MARGIN, LARGEST_MARGIN = 0.35, 0.25, 2.5
 
 
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool, has_links: bool) -> Features:
@@ -48,7 +49,6 @@ def upload_timings(substeps: Sequence[int], control_dt: float, device: str) -> w
     for number in substeps:
         timing = Timing()
         timing.num_substeps, timing.dt = number, control_dt / number
-        timing.search_interval = max(1, number // SEARCHES_PER_STEP)
         timings.append(timing)
     return wp.array(timings, dtype=Timing, device=device)
 
@@ -94,6 +94,10 @@ def upload_objects(models: Sequence[Model], geodesics: wp.array, device: str) ->
     objects.element_starts = array(_starts([len(nodes) for nodes in elements]), int)
     objects.elements = array(np.concatenate(elements), wp.vec3i)
     objects.face_counts = array([len(model.faces) for model in models], int)
+    features = [_features(nodes[: len(model.faces)]) for nodes, model in zip(elements, models, strict=True)]
+    padded = [np.pad(bits, (0, len(nodes) - len(bits))) for bits, nodes in zip(features, elements, strict=True)]
+    objects.face_features = array(np.concatenate(padded), int)
+    objects.contact_margins = array([_contact_margin(model) for model in models], float)
     objects.is_rope = array([model.is_rope for model in models], wp.bool)
     objects.geodesics = geodesics
     return objects
@@ -130,6 +134,30 @@ def _longest_edge(model: Model) -> float:
     """Return the length of the longest edge that touches colliders [m]."""
     i, j = model.surface_edges.T
     return float(np.linalg.norm(model.rest_positions[i] - model.rest_positions[j], axis=1).max())
+
+
+def _contact_margin(model: Model) -> float:
+    """Return the distance beyond the thickness up to which a search for contact of an object with itself finds [m]."""
+    i, j = model.surface_edges.T
+    mean = float(np.linalg.norm(model.rest_positions[i] - model.rest_positions[j], axis=1).mean())
+    thickness = 2.0 * model.radius
+    return float(np.clip(EDGE_MARGIN * mean, LEAST_MARGIN * thickness, LARGEST_MARGIN * thickness))
+
+
+def _features(faces: np.ndarray) -> np.ndarray:
+    """Return for which of their corners (bits 0 to 2) and edges opposite to these (bits 3 to 5) triangles (F, 3) stand, (F,).
+
+    Each node and edge of the mesh is that of the first triangle that has it.
+    """
+    seen: set[tuple[int, ...]] = set()
+    bits = np.zeros(len(faces), dtype=np.int32)
+    for index, corners in enumerate(faces.tolist()):
+        edges = [tuple(sorted((corners[k - 2], corners[k - 1]))) for k in range(3)]
+        for bit, feature in enumerate([(corner,) for corner in corners] + edges):
+            if feature not in seen:
+                seen.add(feature)
+                bits[index] |= 1 << bit
+    return bits
 
 
 def _starts(counts: Sequence[int]) -> np.ndarray:

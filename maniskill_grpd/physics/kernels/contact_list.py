@@ -1,194 +1,187 @@
-"""The list of contacts of an object with itself, and what they remember, called by the fused kernel.
+"""The list of pairs of elements of one object that may come to touch, called by the fused kernel.
 
-After each search the list is laid out anew: owner by owner, so that it depends on nothing but what was found. A contact that was
-in the list before keeps its normal. From one control step to the next the normals are those of the gaps, but for contacts whose
-elements have passed through each other: these are part of the state.
+The list is laid out owner by owner and element by element. It outlives control steps: it is complete until nodes have come closer
+to each other than it reaches, and then it is made anew for all worlds of a group. What is computed does not depend on when that
+was, since a pair acts only by what the positions say (`self_contact`): a list may be longer than needed, never too short.
 """
 
 from typing import Any
 
 import warp as wp
 
-from maniskill_grpd.physics.kernels.block import count_up, synchronize_block
-from maniskill_grpd.physics.kernels.contact_search import SLOTS, contact_gap, contact_nodes, contact_thickness, find_contacts
-from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Timing, Worlds
-from maniskill_grpd.physics.kernels.lanes import WIDTH
+from maniskill_grpd.physics.kernels.block import synchronize_block
+from maniskill_grpd.physics.kernels.contact_search import SLOTS, contact_nodes, contact_thickness, find_pairs
+from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Worlds
+from maniskill_grpd.physics.kernels.lane_access import component, pick, put
+from maniskill_grpd.physics.kernels.lanes import WIDTH, greater, inner, lesser, root, spread, sub  # noqa: F401 (operators on lanes)
 
-# Contacts of nodes fill whole registers, and those of edges begin behind them.
+# The last register of contacts may be read beyond its end.
 REGISTER = wp.constant(WIDTH)
+# What rounding may add to the distances of pairs [m].
+ROUNDING = wp.constant(2.0e-5)
+# Beyond any motion [m].
+FAR = wp.constant(1.0e9)
 
 
 @wp.func
-def remember_contacts(world: int, first: int, stride: int, num_owners: int, contacts: SelfContacts):
+def load_anchor(thread: Thread, node: int, groups: Any, contacts: SelfContacts):
+    """Fetch where a node of all worlds was when motion was measured last."""
+    for lane in range(groups.members.shape[1]):
+        put(groups.anchors, thread.group, node, lane, contacts.anchors[groups.members[thread.group, lane], node])
+
+
+@wp.func
+def store_anchors(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
+    """Write where the nodes of all worlds were when motion was measured last; a world that froze may have been anywhere."""
+    for node in range(thread.first, objects.node_counts[thread.variant], thread.stride):
+        for lane in range(groups.counts[thread.group]):
+            contacts.anchors[groups.members[thread.group, lane], node] = pick(groups.anchors, thread.group, node, lane)
+    for lane in range(thread.first, groups.counts[thread.group], thread.stride):
+        if worlds.frozen[groups.members[thread.group, lane]]:
+            contacts.reaches[groups.members[thread.group, lane]] = -FAR
+
+
+@wp.func
+def measure_motion(thread: Thread, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Measure in all worlds of a group how much closer any two points may have come since the last time.
+
+    Displacements of nodes lie in a box, and those of points between nodes too; no two differ by more than its diagonal.
+    """
+    group = thread.group
+    low = spread(groups.positions[group, 0], FAR)
+    high = spread(groups.positions[group, 0], -FAR)
+    for node in range(thread.first, objects.node_counts[thread.variant], thread.stride):
+        moved = groups.positions[group, node] - groups.anchors[group, node]
+        groups.anchors[group, node] = groups.positions[group, node]
+        low = lesser(low, moved)
+        high = greater(high, moved)
+    groups.lowest_motions[group, thread.first] = low
+    groups.highest_motions[group, thread.first] = high
+    synchronize_block()
+    if thread.first == 0:
+        for other in range(1, thread.stride):
+            low = lesser(low, groups.lowest_motions[group, other])
+            high = greater(high, groups.highest_motions[group, other])
+        size = high - low
+        motion = root(inner(size, size))
+        for lane in range(groups.counts[group]):
+            world = groups.members[group, lane]
+            contacts.motions[world] = component(motion, lane)
+            contacts.travels[world] = contacts.travels[world] + component(motion, lane)
+    synchronize_block()
+
+
+@wp.func
+def is_complete(thread: Thread, worlds: Worlds, groups: Any, contacts: SelfContacts) -> bool:
+    """Return whether in all worlds of a group the list still has every pair that has to be looked at."""
+    for lane in range(groups.counts[thread.group]):
+        world = groups.members[thread.group, lane]
+        if not worlds.frozen[world] and not (
+            contacts.travels[world] + contacts.slacks[world] + ROUNDING < contacts.reaches[world]
+        ):
+            return False
+    return True
+
+
+@wp.func
+def remember_pairs(world: int, first: int, stride: int, num_owners: int, contacts: SelfContacts):
     """Put the list aside before it is laid out anew."""
     for owner in range(first, num_owners, stride):
         contacts.old_starts[world, owner] = contacts.starts[world, owner]
         contacts.old_ends[world, owner] = contacts.ends[world, owner]
-    for contact in range(first, contacts.num_contacts[world], stride):
-        contacts.old_elements[world, contact] = contacts.elements[world, contact]
-        contacts.old_normals[world, contact] = contacts.normals[world, contact]
+    for pair in range(first, contacts.num_pairs[world], stride):
+        contacts.old_elements[world, pair] = contacts.elements[world, pair]
+        contacts.old_normals[world, pair] = contacts.pair_normals[world, pair]
 
 
 @wp.func
-def lay_out_contacts(world: int, num_nodes: int, num_owners: int, contacts: SelfContacts):
-    """Give every owner its part of the list; count what has no room."""
-    room = contacts.nodes.shape[1] - REGISTER  # the last register may be read beyond its contacts
+def lay_out_pairs(world: int, num_nodes: int, num_owners: int, contacts: SelfContacts):
+    """Give every owner its part of the list. Without room for all it holds what may touch now, and is made anew the next time."""
+    room = contacts.owners.shape[1] - REGISTER
+    reach = contacts.found_reaches[world, 0]
+    found = int(0)
+    for owner in range(num_owners):
+        reach = wp.min(reach, contacts.found_reaches[world, owner])
+        found += contacts.found_counts[world, owner]
+    limit = float(FAR)
+    if found > room:
+        limit = contacts.slacks[world] + ROUNDING
+        reach = 0.0
     total = int(0)
     for owner in range(num_owners):
-        if owner == num_nodes:
-            end = (total + REGISTER - 1) // REGISTER * REGISTER
-            for contact in range(total, end):  # a contact without thickness does nothing
-                contacts.nodes[world, contact] = wp.vec4i(0, 0, 0, 0)
-                contacts.thicknesses[world, contact] = 0.0
-            total = end
         contacts.starts[world, owner] = total
-        kept = wp.max(wp.min(contacts.found_counts[world, owner], room - total), 0)
-        contacts.dropped[world] = contacts.dropped[world] + contacts.found_counts[world, owner] - kept
-        total += kept
+        for slot in range(owner * SLOTS, owner * SLOTS + contacts.found_counts[world, owner]):
+            gap = contacts.found_gaps[world, slot]
+            if gap < limit and total < room:
+                contacts.owners[world, total] = owner
+                contacts.elements[world, total] = contacts.found[world, slot]
+                contacts.wakes[world, total] = gap
+                total += 1
+            elif gap < 0.0:
+                contacts.dropped[world] = contacts.dropped[world] + 1
         contacts.ends[world, owner] = total
-    if num_owners == num_nodes:
-        contacts.starts[world, num_nodes] = total
-    contacts.num_contacts[world] = total
+        if owner == num_nodes - 1:
+            contacts.first_edges[world] = total
+    contacts.num_pairs[world] = total
+    contacts.reaches[world] = reach
+    contacts.travels[world] = 0.0
 
 
 @wp.func
-def recall_normal(
-    world: int, owner: int, element: int, gap: wp.vec3, is_first: bool, worlds: Worlds, contacts: SelfContacts
-) -> wp.vec3:
-    """Return the normal of a contact: that of the list before, or of the gap, against which it points if the two have crossed."""
-    length = wp.length(gap)
-    outward = wp.vec3(0.0, 0.0, 1.0)
-    if length > 0.0:
-        outward = gap / length
-    if is_first:
-        for index in range(worlds.crossed_owners.shape[1]):
-            if worlds.crossed_owners[world, index] < 0:
-                break
-            if worlds.crossed_owners[world, index] == owner and worlds.crossed_elements[world, index] == element:
-                return -outward
-        return outward
-    for contact in range(contacts.old_starts[world, owner], contacts.old_ends[world, owner]):
-        if contacts.old_elements[world, contact] == element:
-            return contacts.old_normals[world, contact]
-    return outward
+def recall_normal(world: int, owner: int, element: int, contacts: SelfContacts) -> wp.vec3:
+    """Return the normal of a pair in the list before, 0 if it had none."""
+    for pair in range(contacts.old_starts[world, owner], contacts.old_ends[world, owner]):
+        if contacts.old_elements[world, pair] == element:
+            return contacts.old_normals[world, pair]
+    return wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func
-def fill_contacts(
-    thread: Thread, lane: int, owner: int, is_first: bool, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts
-):
-    """Write the contacts of an owner into its part of the list, and count those of every node."""
+def list_pairs(thread: Thread, lane: int, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Lay out the pairs that a search found in one world."""
+    variant = thread.variant
     world = groups.members[thread.group, lane]
-    is_edges = owner >= objects.node_counts[thread.variant]
-    start = contacts.starts[world, owner]
-    for contact in range(start, contacts.ends[world, owner]):
-        element = contacts.found[world, owner * SLOTS + contact - start]
-        nodes = contact_nodes(thread.variant, owner, element, objects)
-        gap = contact_gap(thread.group, lane, nodes, is_edges, groups)
-        contacts.nodes[world, contact] = nodes
-        contacts.owners[world, contact] = owner
-        contacts.elements[world, contact] = element
-        contacts.distances[world, contact] = 0.0
-        contacts.thicknesses[world, contact] = contact_thickness(thread.variant, owner, element, objects)
-        contacts.normals[world, contact] = recall_normal(world, owner, element, gap, is_first, worlds, contacts)
-        for k in range(4):
-            count_up(contacts.num_of_node, world, nodes[k])
-
-
-@wp.func
-def lay_out_entries(world: int, num_nodes: int, contacts: SelfContacts):
-    """Give every node its part of the list of entries, one for each contact that it takes part in."""
-    total = int(0)
-    for node in range(num_nodes):
-        contacts.entry_starts[world, node] = total
-        total += contacts.num_of_node[world, node]
-        contacts.num_of_node[world, node] = 0
-    contacts.entry_starts[world, num_nodes] = total
-
-
-@wp.func
-def enter_contacts(world: int, owner: int, contacts: SelfContacts):
-    """Enter the contacts of an owner with each of their four nodes, in an order that `sort_entries` undoes."""
-    for contact in range(contacts.starts[world, owner], contacts.ends[world, owner]):
-        nodes = contacts.nodes[world, contact]
-        for k in range(4):
-            place = count_up(contacts.num_of_node, world, nodes[k])
-            contacts.entries[world, contacts.entry_starts[world, nodes[k]] + place] = 4 * contact + k
-
-
-@wp.func
-def sort_entries(world: int, node: int, contacts: SelfContacts):
-    """Sort the entries of a node, so that sums do not depend on the order in which threads made them."""
-    start = contacts.entry_starts[world, node]
-    for i in range(start + 1, contacts.entry_starts[world, node + 1]):
-        entry = contacts.entries[world, i]
-        j = int(i)
-        while j > start and contacts.entries[world, wp.max(j - 1, 0)] > entry:
-            contacts.entries[world, j] = contacts.entries[world, j - 1]
-            j -= 1
-        contacts.entries[world, j] = entry
-
-
-@wp.func
-def list_contacts(
-    thread: Thread, lane: int, is_first: bool, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts
-):
-    """Lay out the contacts that a search found in one world."""
-    world = groups.members[thread.group, lane]
-    num_nodes = objects.node_counts[thread.variant]
-    num_edges = objects.element_starts[thread.variant + 1] - objects.element_starts[thread.variant]
-    num_owners = num_nodes + num_edges - objects.face_counts[thread.variant]
-    if not is_first:
-        remember_contacts(world, thread.first, thread.stride, num_owners, contacts)
-    for node in range(thread.first, num_nodes, thread.stride):
-        contacts.num_of_node[world, node] = 0
+    num_nodes = objects.node_counts[variant]
+    num_edges = objects.element_starts[variant + 1] - objects.element_starts[variant] - objects.face_counts[variant]
+    remember_pairs(world, thread.first, thread.stride, num_nodes + num_edges, contacts)
     synchronize_block()
     if thread.first == 0:
-        lay_out_contacts(world, num_nodes, num_owners, contacts)
+        lay_out_pairs(world, num_nodes, num_nodes + num_edges, contacts)
     synchronize_block()
-    if contacts.num_contacts[world] == 0:
-        return
-    for owner in range(thread.first, num_owners, thread.stride):
-        fill_contacts(thread, lane, owner, is_first, objects, worlds, groups, contacts)
-    synchronize_block()
-    if thread.first == 0:
-        lay_out_entries(world, num_nodes, contacts)
-    synchronize_block()
-    for owner in range(thread.first, num_owners, thread.stride):
-        enter_contacts(world, owner, contacts)
-    synchronize_block()
-    for node in range(thread.first, num_nodes, thread.stride):
-        sort_entries(world, node, contacts)
+    for pair in range(thread.first, contacts.num_pairs[world], thread.stride):
+        owner = contacts.owners[world, pair]
+        element = contacts.elements[world, pair]
+        contacts.pair_nodes[world, pair] = contact_nodes(variant, owner, element, objects)
+        contacts.pair_thicknesses[world, pair] = contact_thickness(variant, owner, element, objects)
+        contacts.pair_normals[world, pair] = recall_normal(world, owner, element, contacts)
+        contacts.pair_distances[world, pair] = 0.0
     synchronize_block()
 
 
 @wp.func
-def find_self_contacts(
-    thread: Thread, is_first: bool, timing: Timing, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts
-):
-    """Search in all worlds of a group, and lay out what is found.
-
-    The first search of a control step (`is_first`) knows no list before it, but that of crossed contacts.
-    """
-    find_contacts(thread, timing, objects, worlds, groups, contacts)
-    for lane in range(groups.counts[thread.group]):
-        if not worlds.frozen[groups.members[thread.group, lane]]:
-            list_contacts(thread, lane, is_first, objects, worlds, groups, contacts)
+def update_pairs(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
+    """Make the lists of all worlds of a group anew if one of them may lack a pair."""
+    if not is_complete(thread, worlds, groups, contacts):
+        synchronize_block()
+        find_pairs(thread, objects, worlds, groups, contacts)
+        for lane in range(groups.counts[thread.group]):
+            if not worlds.frozen[groups.members[thread.group, lane]]:
+                list_pairs(thread, lane, objects, groups, contacts)
 
 
 @wp.func
 def store_crossed(thread: Thread, worlds: Worlds, groups: Any, contacts: SelfContacts):
-    """Write which contacts of all worlds of a group have passed through each other into their state."""
+    """Write which pairs of all worlds of a group have passed through each other into their state."""
     for lane in range(thread.first, groups.counts[thread.group], thread.stride):
         world = groups.members[thread.group, lane]
         if not worlds.frozen[world]:
             room = worlds.crossed_owners.shape[1]
             count = int(0)
-            for contact in range(contacts.num_contacts[world]):
-                if contacts.distances[world, contact] < 0.0 and contacts.thicknesses[world, contact] > 0.0:
+            for pair in range(contacts.num_pairs[world]):
+                if contacts.pair_distances[world, pair] < 0.0:
                     if count < room:
-                        worlds.crossed_owners[world, count] = contacts.owners[world, contact]
-                        worlds.crossed_elements[world, count] = contacts.elements[world, contact]
+                        worlds.crossed_owners[world, count] = contacts.owners[world, pair]
+                        worlds.crossed_elements[world, count] = contacts.elements[world, pair]
                         count += 1
                     else:
                         contacts.dropped[world] = contacts.dropped[world] + 1

@@ -1,8 +1,9 @@
-"""Search for what an object may touch of itself, called by the fused kernel a few times per control step.
+"""Search for pairs of elements of one object that may come to touch, called by the fused kernel when those it knows may not be all.
 
-Owners of contacts are nodes, which may touch triangles, and edges, which may touch edges behind them in the list. Elements
-(triangles, edges) lie in blocks, each with a sphere about it, so that an owner passes over what is far away as a whole, in all
-worlds of a group at once. What may touch is measured in the worlds where it may.
+Owners of pairs are nodes, which may touch triangles, and edges, which may touch edges behind them in the list. Elements
+(triangles, edges) lie in blocks, each with a sphere about it, so that an owner passes over what is far away as a whole. Distances
+are computed in all worlds of a group at once. A pair is found if its elements are closer than `contact_margins` beyond their
+thickness, so that the list is complete until nodes have come that much closer to each other.
 """
 
 from typing import Any
@@ -11,18 +12,14 @@ import warp as wp
 
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.closest_points import closest_weights
-from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Timing, Worlds
-from maniskill_grpd.physics.kernels.lane_access import component, pick
-from maniskill_grpd.physics.kernels.lanes import add, any_positive, div, greater, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Worlds
+from maniskill_grpd.physics.kernels.lane_access import component
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
 # Elements that one owner can have found.
 SLOTS = wp.constant(24)
-# Distance, in thicknesses, within which elements are found even if they do not approach each other.
-REACH = wp.constant(1.5)
-# Most that two points are expected to approach each other between two searches [m]: both faster than a gripper.
-MAX_APPROACH = wp.constant(0.02)
 # Thickness of a contact between parts that lie close together in the material, relative to their distance there: at rest, and
 # also when compressed, they must not touch.
 NEIGHBOR_THICKNESS = wp.constant(0.6)
@@ -61,15 +58,22 @@ def contact_thickness(variant: int, owner: int, element: int, objects: Objects) 
 
 
 @wp.func
+def shares_node(own: wp.vec2i, corners: wp.vec3i) -> bool:
+    """Return whether an owner and an element have a node in common."""
+    for k in range(3):
+        if own[0] == corners[k] or own[1] == corners[k]:
+            return True
+    return False
+
+
+@wp.func
 def bound_element(group: int, variant: int, element: int, objects: Objects, groups: Any):
-    """Compute a sphere about a triangle or edge, at the mean of its corners, and its mean velocity."""
+    """Compute a sphere about a triangle or edge, at the mean of its corners."""
     corners = objects.elements[objects.element_starts[variant] + element]
     count = wp.where(element < objects.face_counts[variant], 3, 2)
     center = groups.positions[group, corners[0]]
-    velocity = groups.velocities[group, corners[0]]
     for k in range(1, count):
         center = center + groups.positions[group, corners[k]]
-        velocity = velocity + groups.velocities[group, corners[k]]
     center = center * (1.0 / float(count))
     farthest = spread(groups.weights[group, 0], 0.0)
     for k in range(count):
@@ -77,7 +81,6 @@ def bound_element(group: int, variant: int, element: int, objects: Objects, grou
         farthest = greater(farthest, inner(offset, offset))
     groups.element_centers[group, element] = center
     groups.element_radii[group, element] = root(farthest)
-    groups.element_velocities[group, element] = velocity * (1.0 / float(count))
 
 
 @wp.func
@@ -94,25 +97,18 @@ def block_elements(variant: int, block: int, objects: Objects) -> wp.vec2i:
 
 @wp.func
 def bound_block(group: int, variant: int, block: int, objects: Objects, groups: Any):
-    """Compute a sphere about the elements of a block, and one about their velocities."""
+    """Compute a sphere about the elements of a block."""
     span = block_elements(variant, block, objects)
     share = 1.0 / float(span[1] - span[0])
     center = spread(groups.element_centers[group, span[0]], 0.0)
-    velocity = center
     for element in range(span[0], span[1]):
         center = center + groups.element_centers[group, element] * share
-        velocity = velocity + groups.element_velocities[group, element] * share
     radius = spread(groups.weights[group, 0], 0.0)
-    spreading = radius
     for element in range(span[0], span[1]):
         offset = groups.element_centers[group, element] - center
         radius = greater(radius, root(inner(offset, offset)) + groups.element_radii[group, element])
-        offset = groups.element_velocities[group, element] - velocity
-        spreading = greater(spreading, inner(offset, offset))
     groups.block_centers[group, block] = center
     groups.block_radii[group, block] = radius
-    groups.block_velocities[group, block] = velocity
-    groups.block_spreads[group, block] = root(spreading)
 
 
 @wp.func
@@ -126,143 +122,109 @@ def farthest_slot(world: int, first_slot: int, contacts: SelfContacts) -> int:
 
 
 @wp.func
-def contact_gap(group: int, lane: int, nodes: wp.vec4i, is_edges: bool, groups: Any) -> wp.vec3:
-    """Return the shortest vector from the second of two elements to the first in one world."""
-    x_0 = pick(groups.positions, group, nodes[0], lane)
-    x_1 = pick(groups.positions, group, nodes[1], lane)
-    x_2 = pick(groups.positions, group, nodes[2], lane)
-    x_3 = pick(groups.positions, group, nodes[3], lane)
-    w_0, w_1, w_2, w_3 = closest_weights(is_edges, x_0, x_1, x_2, x_3)
-    return x_0 * w_0 + x_1 * w_1 + x_2 * w_2 + x_3 * w_3
+def keep_nearest(world: int, owner: int, element: int, gap: float, contacts: SelfContacts):
+    """Write an element behind those found before it; without a free slot the farthest has to leave, and is remembered as left out.
 
-
-@wp.func
-def may_cross(group: int, lane: int, nodes: wp.vec4i, slide: float, groups: Any) -> bool:
-    """Return whether two edges of a cloth cross seen along their common normal, or do so after they slid by some distance.
-
-    Where they do not, nodes and triangles touch before edges do.
+    What touches and is left out is counted. `gap` is the distance beyond the thickness [m].
     """
-    first = pick(groups.positions, group, nodes[1], lane) - pick(groups.positions, group, nodes[0], lane)
-    second = pick(groups.positions, group, nodes[3], lane) - pick(groups.positions, group, nodes[2], lane)
-    offset = pick(groups.positions, group, nodes[2], lane) - pick(groups.positions, group, nodes[0], lane)
-    normal = wp.cross(first, second)
-    square = wp.length_sq(normal)
-    along = wp.dot(wp.cross(offset, second), normal)
-    other = wp.dot(wp.cross(offset, first), normal)
-    # |first| slid along itself by a length is that length over |first| in units of the edge; likewise the second.
-    margin = square * slide / wp.length(first)
-    other_margin = square * slide / wp.length(second)
-    if along < -margin or along > square + margin:
-        return False
-    return other >= -other_margin and other <= square + other_margin
-
-
-@wp.func
-def keep_nearest(world: int, owner: int, element: int, length: float, thickness: float, contacts: SelfContacts):
-    """Write an element into a free slot, or that of the farthest if that one is farther; count what touches and has none."""
     count = contacts.found_counts[world, owner]
-    slot = owner * SLOTS + count
+    last = owner * SLOTS + count
     if count < SLOTS:
         contacts.found_counts[world, owner] = count + 1
     else:
         slot = farthest_slot(world, owner * SLOTS, contacts)
-        farthest = contacts.found_gaps[world, slot]
-        if wp.max(length, farthest) < thickness:
+        farthest = wp.max(gap, contacts.found_gaps[world, slot])
+        contacts.found_reaches[world, owner] = wp.min(contacts.found_reaches[world, owner], farthest)
+        if farthest < 0.0:
             wp.atomic_add(contacts.dropped, world, 1)
-        if length >= farthest:
+        if gap >= farthest:
             return
-    contacts.found[world, slot] = element
-    contacts.found_gaps[world, slot] = length
+        last = owner * SLOTS + SLOTS - 1
+        for other in range(slot, last):  # elements stay in their order
+            contacts.found[world, other] = contacts.found[world, other + 1]
+            contacts.found_gaps[world, other] = contacts.found_gaps[world, other + 1]
+    contacts.found[world, last] = element
+    contacts.found_gaps[world, last] = gap
 
 
 @wp.func
 def test_element(
     thread: Thread,
     owner: int,
+    own: wp.vec2i,
     element: int,
-    x: Any,
-    v: Any,
-    own_radius: Any,
-    duration: float,
+    is_edges: bool,
     objects: Objects,
     worlds: Worlds,
     groups: Any,
     contacts: SelfContacts,
 ):
-    """Find an element in the worlds where an owner at x with velocity v may touch it before the next search."""
+    """Find an element in the worlds where it is close to an owner."""
     group = thread.group
     variant = thread.variant
-    offset = x - groups.element_centers[group, element]
-    far = own_radius + groups.element_radii[group, element]
-    apart = inner(offset, offset)
-    thickness = float(2.0 * objects.radii[variant])
-    widest = far + spread(far, REACH * thickness + MAX_APPROACH)
-    if not any_positive(widest * widest - apart):
+    corners = objects.elements[objects.element_starts[variant] + element]
+    if shares_node(own, corners):
         return
-    relative = v - groups.element_velocities[group, element]
-    approach = lesser(root(inner(relative, relative)) * duration, spread(far, MAX_APPROACH))
-    widest = far + spread(far, REACH * thickness) + approach
-    if not any_positive(widest * widest - apart):
-        return
-    thickness = contact_thickness(variant, owner, element, objects)
-    if thickness <= 0.0:
-        return
-    reach = far + spread(far, REACH * thickness) + approach
-    is_near = reach * reach - apart
+    x_0 = groups.positions[group, own[0]]
+    x_1 = groups.positions[group, corners[0]]
+    x_2 = groups.positions[group, corners[1]]
+    x_3 = groups.positions[group, corners[2]]
+    if is_edges:
+        x_3 = x_2
+        x_2 = x_1
+        x_1 = groups.positions[group, own[1]]
+    w_0, w_1, w_2, w_3 = closest_weights(is_edges, x_0, x_1, x_2, x_3)
+    between = x_0 * w_0 + x_1 * w_1 + x_2 * w_2 + x_3 * w_3
+    gap = root(inner(between, between)) - spread(w_0, contact_thickness(variant, owner, element, objects))
+    is_near = spread(gap, objects.contact_margins[variant]) - gap
     if any_positive(is_near):
-        nodes = contact_nodes(variant, owner, element, objects)
-        is_edges = owner >= objects.node_counts[variant]
         for lane in range(groups.counts[group]):
-            world = groups.members[group, lane]
-            if component(is_near, lane) > 0.0 and not worlds.frozen[world]:
-                slide = REACH * thickness + component(approach, lane)
-                length = wp.length(contact_gap(group, lane, nodes, is_edges, groups))
-                is_idle = is_edges and not objects.is_rope[variant] and not may_cross(group, lane, nodes, slide, groups)
-                if length < slide and not is_idle:
-                    keep_nearest(world, owner, element, length, thickness, contacts)
+            if component(is_near, lane) > 0.0:
+                world = groups.members[group, lane]
+                if not worlds.frozen[world]:
+                    keep_nearest(world, owner, element, component(gap, lane), contacts)
 
 
 @wp.func
-def find_elements(
-    thread: Thread, owner: int, duration: float, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts
-):
-    """Find the elements that an owner may touch before the next search, in all worlds of a group."""
+def find_elements(thread: Thread, owner: int, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
+    """Find the elements that are close to an owner, in all worlds of a group."""
     group = thread.group
     variant = thread.variant
+    margin = objects.contact_margins[variant]
     for lane in range(groups.counts[group]):
         contacts.found_counts[groups.members[group, lane], owner] = 0
+        contacts.found_reaches[groups.members[group, lane], owner] = margin
     num_nodes = objects.node_counts[variant]
     num_faces = objects.face_counts[variant]
     num_elements = objects.element_starts[variant + 1] - objects.element_starts[variant]
+    is_edges = owner >= num_nodes
+    own = owner_nodes(variant, owner, objects)
     first_block = int(0)
     end_block = (num_faces + BLOCK - 1) // BLOCK
     first = int(0)
-    x = groups.positions[group, wp.min(owner, num_nodes - 1)]
-    v = groups.velocities[group, wp.min(owner, num_nodes - 1)]
-    own_radius = spread(groups.weights[group, 0], 0.0)
-    if owner >= num_nodes:
-        own = num_faces + owner - num_nodes
-        first = own + 1
+    x = groups.positions[group, own[0]]
+    reach = spread(groups.weights[group, 0], 2.0 * objects.radii[variant] + margin)
+    if is_edges:
+        first = num_faces + owner - num_nodes + 1
         first_block = end_block + (first - num_faces) // BLOCK
         end_block += (num_elements - num_faces + BLOCK - 1) // BLOCK
-        x = groups.element_centers[group, own]
-        v = groups.element_velocities[group, own]
-        own_radius = groups.element_radii[group, own]
+        x = groups.element_centers[group, first - 1]
+        reach = reach + groups.element_radii[group, first - 1]
     for block in range(first_block, end_block):
         offset = x - groups.block_centers[group, block]
-        relative = v - groups.block_velocities[group, block]
-        speed = root(inner(relative, relative)) + groups.block_spreads[group, block]
-        reach = own_radius + groups.block_radii[group, block] + lesser(speed * duration, spread(speed, MAX_APPROACH))
-        reach = reach + spread(speed, REACH * 2.0 * objects.radii[variant])
-        if any_positive(reach * reach - inner(offset, offset)):
+        far = reach + groups.block_radii[group, block]
+        if any_positive(far * far - inner(offset, offset)):
             span = block_elements(variant, block, objects)
             for element in range(wp.max(first, span[0]), span[1]):
-                test_element(thread, owner, element, x, v, own_radius, duration, objects, worlds, groups, contacts)
+                offset = x - groups.element_centers[group, element]
+                far = reach + groups.element_radii[group, element]
+                if any_positive(far * far - inner(offset, offset)):
+                    test_element(thread, owner, own, element, is_edges, objects, worlds, groups, contacts)
 
 
 @wp.func
-def find_contacts(thread: Thread, timing: Timing, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
-    """Find for all owners in all worlds of a group what they may touch until the next search."""
+def find_pairs(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
+    """Find for all owners in all worlds of a group what is close to them."""
     variant = thread.variant
     num_faces = objects.face_counts[variant]
     num_elements = objects.element_starts[variant + 1] - objects.element_starts[variant]
@@ -273,8 +235,7 @@ def find_contacts(thread: Thread, timing: Timing, objects: Objects, worlds: Worl
     for block in range(thread.first, num_blocks, thread.stride):
         bound_block(thread.group, variant, block, objects, groups)
     synchronize_block()
-    duration = 2.0 * float(timing.search_interval) * timing.dt
     num_owners = objects.node_counts[variant] + num_elements - num_faces
     for owner in range(thread.first, num_owners, thread.stride):
-        find_elements(thread, owner, duration, objects, worlds, groups, contacts)
+        find_elements(thread, owner, objects, worlds, groups, contacts)
     synchronize_block()

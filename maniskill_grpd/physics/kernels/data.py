@@ -37,7 +37,6 @@ class Timing:
     """How the control steps of a variant are divided."""
 
     num_substeps: int
-    search_interval: int  # substeps from one search for self-contacts to the next
     dt: float  # duration of a substep [s]
 
 
@@ -98,6 +97,8 @@ class Objects:
     element_starts: wp.array(dtype=int)
     elements: wp.array(dtype=wp.vec3i)
     face_counts: wp.array(dtype=int)
+    face_features: wp.array(dtype=int)  # corners and edges for which a triangle stands, see `is_represented`
+    contact_margins: wp.array(dtype=float)  # distance beyond the thickness up to which a search finds
     is_rope: wp.array(dtype=wp.bool)
 
 
@@ -150,30 +151,45 @@ class Links:
 
 @wp.struct
 class SelfContacts:
-    """Contacts of an object with itself, in every world: what owners found, the list of contacts, entries for every node."""
+    """Contact of an object with itself, in every world: what owners found, the list of pairs, the contacts of a substep."""
 
     found: wp.array2d(dtype=int)  # elements, in the slots of each owner
-    found_gaps: wp.array2d(dtype=float)
+    found_gaps: wp.array2d(dtype=float)  # distances beyond the thickness
     found_counts: wp.array2d(dtype=int)
-    starts: wp.array2d(dtype=int)  # first contact of each owner, and behind its last
+    found_reaches: wp.array2d(dtype=float)  # distance beyond the thickness of the nearest that was left out
+    anchors: wp.array2d(dtype=wp.vec3)  # where nodes were when motion was measured last
+    motions: wp.array(dtype=float)  # how much closer any two points may have come since the time before
+    travels: wp.array(dtype=float)  # and since the list was made
+    slacks: wp.array(dtype=float)  # distance beyond the thickness within which pairs are near
+    reaches: wp.array(dtype=float)  # and within which the list was complete when it was made
+    starts: wp.array2d(dtype=int)  # first pair of each owner, and behind its last
     ends: wp.array2d(dtype=int)
-    num_contacts: wp.array(dtype=int)
-    nodes: wp.array2d(dtype=wp.vec4i)
+    num_pairs: wp.array(dtype=int)
+    first_edges: wp.array(dtype=int)  # pairs of edges follow those of nodes
     owners: wp.array2d(dtype=int)
     elements: wp.array2d(dtype=int)
-    thicknesses: wp.array2d(dtype=float)
-    normals: wp.array2d(dtype=wp.vec3)
-    distances: wp.array2d(dtype=float)  # along the normals, < 0 for what has crossed
-    weights: wp.array3d(dtype=float)  # of the four nodes
-    impulses: wp.array2d(dtype=wp.vec3)
+    wakes: wp.array2d(dtype=float)  # distances beyond the thickness, added to the travel until they were measured
+    pair_nodes: wp.array2d(dtype=wp.vec4i)
+    pair_thicknesses: wp.array2d(dtype=float)
+    pair_normals: wp.array2d(dtype=wp.vec3)  # 0 for pairs that are not near
+    pair_distances: wp.array2d(dtype=float)  # along the normals, < 0 for what has crossed
     old_starts: wp.array2d(dtype=int)
     old_ends: wp.array2d(dtype=int)
     old_elements: wp.array2d(dtype=int)
     old_normals: wp.array2d(dtype=wp.vec3)
-    entry_starts: wp.array2d(dtype=int)
-    entries: wp.array2d(dtype=int)  # 4 * contact + place of the node in it
-    num_of_node: wp.array2d(dtype=int)
-    num_active: wp.array2d(dtype=int)
+    num_contacts: wp.array(dtype=int)
+    first_edge_contacts: wp.array(dtype=int)
+    pairs: wp.array2d(dtype=int)  # of which contacts are made, -1 for one that does nothing
+    nodes: wp.array2d(dtype=wp.vec4i)
+    thicknesses: wp.array2d(dtype=float)
+    normals: wp.array2d(dtype=wp.vec3)
+    distances: wp.array2d(dtype=float)
+    lengths: wp.array2d(dtype=float)  # of the gaps
+    weights: wp.array3d(dtype=float)  # of the four nodes
+    insides: wp.array2d(dtype=float)  # > 0 where closest points are in the middle of both elements
+    starts_of_gaps: wp.array2d(dtype=wp.vec3)  # at the start of the substep
+    masses: wp.array2d(dtype=float)  # 0 for what does not act
+    num_sweeps: wp.array(dtype=int)
     dropped: wp.array(dtype=int)
 
 
@@ -230,14 +246,15 @@ def _groups(number: type, vector: type) -> type:
         collider_lows: wp.array2d(dtype=number)
         collider_highs: wp.array2d(dtype=number)
         nearness: wp.array2d(dtype=number)
-        # Spheres about the elements that may touch each other, and about blocks of them, with their velocities.
+        # Spheres about the elements that may touch each other, and about blocks of them.
         element_centers: wp.array2d(dtype=vector)
         element_radii: wp.array2d(dtype=number)
-        element_velocities: wp.array2d(dtype=vector)
         block_centers: wp.array2d(dtype=vector)
         block_radii: wp.array2d(dtype=number)
-        block_velocities: wp.array2d(dtype=vector)
-        block_spreads: wp.array2d(dtype=number)
+        anchors: wp.array2d(dtype=vector)  # see `SelfContacts`
+        lowest_motions: wp.array2d(dtype=vector)  # of the nodes of each thread, by component
+        highest_motions: wp.array2d(dtype=vector)
+        touching: wp.array2d(dtype=number)  # 1 for nodes of pairs that are near
         upper: wp.array2d(dtype=number)
         carried: wp.array2d(dtype=number)  # impulses that pull the ends of the edges of a sheet together in every substep
         multipliers: wp.array2d(dtype=number)

@@ -114,6 +114,14 @@ def _minimum(a: Numbers, b: Numbers) -> Numbers: ...
 def _maximum(a: Numbers, b: Numbers) -> Numbers: ...
 
 
+@wp.func_native(_snippet("A < B ? A : B", Vectors, a=Vectors, b=Vectors))
+def _minimum_vectors(a: Vectors, b: Vectors) -> Vectors: ...
+
+
+@wp.func_native(_snippet("A > B ? A : B", Vectors, a=Vectors, b=Vectors))
+def _maximum_vectors(a: Vectors, b: Vectors) -> Vectors: ...
+
+
 @wp.func_native(_snippet("A > 0.0f ? B : C", Numbers, a=Numbers, b=Numbers, c=Numbers))
 def _choose_numbers(a: Numbers, b: Numbers, c: Numbers) -> Numbers: ...
 
@@ -243,6 +251,18 @@ def lesser(a: float, b: float):  # noqa: F811
 
 
 @wp.func
+def lesser(a: Vectors, b: Vectors):  # noqa: F811
+    """Return the smaller of a and b, component by component."""
+    return _minimum_vectors(a, b)
+
+
+@wp.func
+def lesser(a: wp.vec3, b: wp.vec3):  # noqa: F811
+    """Return the smaller of a and b, component by component."""
+    return wp.min(a, b)
+
+
+@wp.func
 def greater(a: Numbers, b: Numbers):
     """Return the larger of a and b."""
     return _maximum(a, b)
@@ -251,6 +271,18 @@ def greater(a: Numbers, b: Numbers):
 @wp.func
 def greater(a: float, b: float):  # noqa: F811
     """Return the larger of a and b."""
+    return wp.max(a, b)
+
+
+@wp.func
+def greater(a: Vectors, b: Vectors):  # noqa: F811
+    """Return the larger of a and b, component by component."""
+    return _maximum_vectors(a, b)
+
+
+@wp.func
+def greater(a: wp.vec3, b: wp.vec3):  # noqa: F811
+    """Return the larger of a and b, component by component."""
     return wp.max(a, b)
 
 

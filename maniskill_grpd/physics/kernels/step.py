@@ -13,7 +13,7 @@ import warp as wp
 from maniskill_grpd.physics.kernels.bending import project_bends, project_folds, project_hinges
 from maniskill_grpd.physics.kernels.block import synchronize_block
 from maniskill_grpd.physics.kernels.collider_contacts import place_collider_bounds, project_colliders
-from maniskill_grpd.physics.kernels.contact_list import find_self_contacts, store_crossed
+from maniskill_grpd.physics.kernels.contact_list import load_anchor, store_anchors, store_crossed
 from maniskill_grpd.physics.kernels.data import (
     Colliders,
     Features,
@@ -30,7 +30,7 @@ from maniskill_grpd.physics.kernels.grippers import find_ways, limit_gripper_tar
 from maniskill_grpd.physics.kernels.groups import is_idle, load_constants, load_node, predict_node, settle_node, store_world
 from maniskill_grpd.physics.kernels.links import find_near_links, project_links
 from maniskill_grpd.physics.kernels.rope_stretch import project_rope_line
-from maniskill_grpd.physics.kernels.self_contact import project_self_contacts
+from maniskill_grpd.physics.kernels.self_contact import find_contacts, project_self_contacts
 from maniskill_grpd.physics.kernels.stretch import load_tensions, project_sheet_line, pull_sheet_line, store_tensions
 from maniskill_grpd.physics.kernels.tethers import load_tethers, project_tethers, sum_tethers
 from maniskill_grpd.physics.kernels.tugs import pull_tugged_nodes
@@ -47,7 +47,15 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
     group_type = LaneGroups if in_lanes else SingleGroups
 
     @wp.func
-    def load_group(thread: Thread, timing: Timing, objects: Objects, colliders: Colliders, worlds: Worlds, groups: group_type):
+    def load_group(
+        thread: Thread,
+        timing: Timing,
+        objects: Objects,
+        colliders: Colliders,
+        worlds: Worlds,
+        groups: group_type,
+        contacts: SelfContacts,
+    ):
         """Limit the targets of the grippers and fetch the state of all worlds of a group."""
         for lane in range(thread.first, groups.counts[thread.group], thread.stride):
             world = groups.members[thread.group, lane]
@@ -67,6 +75,8 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         synchronize_block()
         for node in range(thread.first, objects.node_counts[thread.variant], thread.stride):
             load_node(thread.group, node, worlds, groups)
+            if wp.static(features.self_contact):
+                load_anchor(thread, node, groups, contacts)
             if wp.static(features.tethers):
                 load_tethers(thread, node, objects, worlds, groups)
         synchronize_block()
@@ -120,6 +130,9 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
             sum_tethers(thread, objects, groups)
         for lane in range(groups.counts[thread.group]):
             store_world(thread, lane, timing, objects, worlds, groups)
+        if wp.static(features.self_contact):
+            synchronize_block()
+            store_anchors(thread, objects, worlds, groups, contacts)
         if wp.static(features.sheets):  # noqa: SIM102 (left out at compile time)
             if not objects.is_rope[thread.variant]:
                 store_tensions(thread, timing.dt, objects, worlds, groups)
@@ -153,14 +166,13 @@ def build_step_kernel(features: Features, in_lanes: bool) -> wp.Kernel:
         thread.stride = wp.block_dim() * thread_stride
         timing = timings[thread.variant]
         num_nodes = objects.node_counts[thread.variant]
-        load_group(thread, timing, objects, colliders, worlds, groups)
+        load_group(thread, timing, objects, colliders, worlds, groups, contacts)
         if wp.static(features.links):
             find_near_links(thread, timing, objects, worlds, groups, links)
             synchronize_block()
+        if wp.static(features.self_contact):
+            find_contacts(thread, True, objects, worlds, groups, contacts)
         for substep in range(timing.num_substeps):
-            if wp.static(features.self_contact):  # noqa: SIM102 (left out at compile time)
-                if substep % timing.search_interval == 0:
-                    find_self_contacts(thread, substep == 0, timing, objects, worlds, groups, contacts)
             progress = float(substep + 1) / float(timing.num_substeps)
             for node in range(thread.first, num_nodes, thread.stride):
                 predict_node(group, node, timing.dt, progress, groups)
