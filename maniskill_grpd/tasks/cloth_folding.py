@@ -82,7 +82,6 @@ class ClothFoldingEnv(DeformableEnv, BaseEnv):
 
     GRIPPER_COUNTS = tuple(CREASES)
     DEFAULT_NUM_GRIPPERS = 2
-    SELF_COLLISION = True
     TRAINING = {"env_kwargs": ("resolution=225", "graph_nodes=25"), "num_envs": 16, "num_minibatches": 4, "gamma": 0.95}
     PROGRESS = Metric("fold_distance", "m")
     OBJECT_CHANNELS = (

@@ -29,6 +29,7 @@ from maniskill_grpd.tasks.worlds.episode_starts import EpisodeStarts
 from maniskill_grpd.tasks.worlds.episode_tensors import EpisodeTensors, Kind
 from maniskill_grpd.tasks.worlds.restorable_worlds import RestorableWorlds
 from maniskill_grpd.tasks.worlds.seeded_worlds import SeededWorlds
+from maniskill_grpd.tasks.worlds.self_contact_info import self_contact_info
 
 POSE_RANGES = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 """Share of a task's pose ranges that is sampled, by the name of the option `pose_range`."""
@@ -88,6 +89,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         visibility: None (default): the graph shows all nodes; "camera": those that at least one of the task's cameras sees, which
             `sensor_configs` can move, and those that grippers hold.
         hidden_nodes: "mask" (default): the others are masked; "stale": they stay as they were last seen, with an age.
+        self_collision: Whether the object collides with itself; by default as the task says.
+        count_crossings: Whether `info["self_crossings"]` counts where a cloth passes through itself (slow).
         num_threads: CPU threads of the solver, chosen by it by default.
         settings: Further settings of ManiSkill's `BaseEnv`.
 
@@ -103,8 +106,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     """Settings that `train` takes for this task where its command line is silent, by name."""
     STUDY_OPTIONS: Mapping[str, Any] = {}
     """Options with which the studies of all tasks train on it; those of the paper's tasks stand with the paper's claims."""
-    SELF_COLLISION = False
-    """Whether the object collides with itself."""
+    SELF_COLLISION = True
+    """Whether the object collides with itself by default."""
 
     def __init__(
         self,
@@ -128,6 +131,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         visibility: str | None = None,
         hidden_nodes: str = "mask",
         substeps: int | None = None,
+        self_collision: bool | None = None,
+        count_crossings: bool = False,
         num_threads: int | None = None,
         **settings: Any,
     ) -> None:
@@ -149,6 +154,8 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._grip_strength = grip_strength
         self._substeps = check_substeps(substeps)
         self._num_threads = num_threads
+        self._self_collision = self.SELF_COLLISION if self_collision is None else self_collision
+        self._counts_crossings = count_crossings
         self._compute_device = choose_compute_device(sim_backend)
         self._render_device_name = choose_render_device(render_backend, render_mode, base_mode)
         self._drawn_worlds = range(num_envs)
@@ -268,7 +275,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             device=self.device,
             num_threads=self._num_threads,
             colliders=self.build_colliders(),
-            self_collision=self.SELF_COLLISION,
+            self_collision=self._self_collision,
             links=self._links,
         )
         self.start_nodes = torch.zeros(self.num_envs, self.num_grippers, dtype=torch.int64, device=self.device)
@@ -334,8 +341,9 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         super()._after_simulation_step()
 
     def get_info(self) -> dict[str, torch.Tensor]:
-        """Return `elapsed_steps`, what `evaluate` measures, how arms get on and `slips` (B, A) of a finite grip, as copies."""
+        """Return `elapsed_steps`, what `evaluate` measures, how arms get on, `dropped_contacts` (B,) and `slips` (B, A)."""
         info = super().get_info() | self._arm_info()
+        info |= self_contact_info(self.solver, counts_crossings=self._counts_crossings)
         if self.solver.grip_strength is not None:
             info["slips"] = self.solver.slips.clone()
         info["elapsed_steps"] = info["elapsed_steps"].clone()

@@ -1,4 +1,4 @@
-"""Search for pairs of elements of one object that may come to touch, called by the fused kernel when those it knows may not be all.
+"""Search for pairs of elements of one object that may come to touch, called by the fused kernel when its list may lack some.
 
 Owners of pairs are nodes, which may touch triangles, and edges, which may touch edges behind them in the list. Elements
 (triangles, edges) lie in blocks, each with a sphere about it, so that an owner passes over what is far away as a whole. Distances
@@ -123,9 +123,10 @@ def farthest_slot(world: int, first_slot: int, contacts: SelfContacts) -> int:
 
 @wp.func
 def keep_nearest(world: int, owner: int, element: int, gap: float, contacts: SelfContacts):
-    """Write an element behind those found before it; without a free slot the farthest has to leave, and is remembered as left out.
+    """Write an element behind those found before it; without a free slot the farthest is left out.
 
-    What touches and is left out is counted. `gap` is the distance beyond the thickness [m].
+    How far that is limits how long the list is complete; what touches and is left out is counted. `gap` is the distance beyond
+    the thickness [m].
     """
     count = contacts.found_counts[world, owner]
     last = owner * SLOTS + count

@@ -70,7 +70,7 @@ def facing(is_edges: bool, x_0: Any, x_1: Any, x_2: Any, x_3: Any):
 
 @wp.func
 def follow_normal(is_edges: bool, x_0: Any, x_1: Any, x_2: Any, x_3: Any, remembered: Any):
-    """Return gaps, their lengths, the normals, where these are perpendicular to both elements (> 0), and the weights of the nodes.
+    """Return gaps, their lengths, the normals, where these are perpendicular to both elements (> 0), and weights of the nodes.
 
     In the middle of both elements the normal is perpendicular to them, on the remembered side; at a rim it is the gap, as long as
     that has not turned by more than 90 degrees. Without a remembered normal (0) the side is that of the gap.
