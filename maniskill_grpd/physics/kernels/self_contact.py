@@ -50,6 +50,8 @@ MAX_MOTION = wp.constant(0.5)
 GRASP = wp.constant(1.5)
 # Pairs closer than this beyond their thickness, relative to it, are near, and remember their sides.
 NEAR = wp.constant(0.5)
+# Share of its mobility, had it no held nodes, below which a contact does not act; it acts fully from twice that share on.
+HELD = wp.constant(0.05)
 # Near pairs closer than this multiple of their thickness take part in the iterations of a substep.
 ENGAGED = wp.constant(1.1)
 
@@ -125,19 +127,31 @@ def measure_all(thread: Thread, lane: int, groups: Any, contacts: SelfContacts):
 
 @wp.func
 def weigh_contact(world: int, lane: int, contact: int, acts_at_rim: bool, group: int, groups: Any, contacts: SelfContacts):
-    """Compute the mass that a contact moves, 0 for one that does not act, and where its gap was at the start of the substep."""
+    """Compute the mass that a contact moves, 0 for one that does not act, and where its gap was at the start of the substep.
+
+    A contact whose points are held almost entirely would throw the free rest far away: it acts less, and in the end not at all.
+    """
     nodes = contacts.nodes[world, contact]
     inverse_mass = float(0.0)
+    lightest = float(0.0)
+    square = float(0.0)
     start = wp.vec3(0.0, 0.0, 0.0)
     for k in range(4):
         share = contacts.weights[k, world, contact]
-        inverse_mass += pick(groups.weights, group, nodes[k], lane) * share * share
+        weight = pick(groups.weights, group, nodes[k], lane)
+        inverse_mass += weight * share * share
+        lightest = wp.max(lightest, weight)
+        square += share * share
         start += pick(groups.previous, group, nodes[k], lane) * share
     acts = contacts.lengths[world, contact] < GRASP * contacts.thicknesses[world, contact]
     if contact >= contacts.first_edge_contacts[world] and not acts_at_rim:
         acts = acts and contacts.insides[world, contact] > 0.0
     contacts.starts_of_gaps[world, contact] = start
-    contacts.masses[world, contact] = wp.where(acts and inverse_mass > 0.0, 1.0 / inverse_mass, 0.0)
+    mass = float(0.0)
+    if acts and inverse_mass > 0.0:
+        free = inverse_mass / (lightest * square)  # 1 where nothing is held
+        mass = wp.clamp((free - HELD) / HELD, 0.0, 1.0) / inverse_mass
+    contacts.masses[world, contact] = mass
 
 
 @wp.func
