@@ -70,13 +70,25 @@ def train_page(rows: Sequence[Row]) -> str:
     """Return the page of `benchmarks/train.py`."""
     shares = ("share_simulation", "share_policy", "share_update")
     table = _table(
-        ["learner", "env-steps/s (median)", "min - max", "simulation", "policy in rollout", "update", "times the peer"],
+        [
+            "learner",
+            "env-steps/s (median)",
+            "min - max",
+            "simulation",
+            "policy in rollout",
+            "update",
+            "MFLOP per step",
+            "of the core's peak",
+            "times the peer",
+        ],
         [
             [
                 row["learner"],
                 f"{row['env_steps_per_s']:,.0f}",
                 _spread(row),
                 *(_cell(row, share, ".0%") for share in shares),
+                _cell(row, "mflop_per_step", ".1f"),
+                _cell(row, "share_of_peak", ".0%"),
                 _cell(row, "ratio", ".2f"),
             ]
             for row in rows
