@@ -25,8 +25,10 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# Pages that follow from committed measurements; benchmarks and studies write the measurements.
+# Replays of the tasks and the shipped checkpoints, and pages that follow from committed measurements; benchmarks and studies write
+# the measurements.
 docs: install
+	$(BIN)/python -m tools.docs.replays
 	$(BIN)/python -m tools.docs
 
 # Changes to the program that tests must notice, and whether they do.

@@ -21,7 +21,7 @@ ALLOWED = {
     "tasks": {"tasks", "agents", "graphs", "physics", "rendering", "viewer"},
     "experts": {"experts", "tasks", "agents", "graphs", "physics"},
     "trajectory": {"trajectory", "tasks"},
-    "runs": {"runs", "tasks", "learning", "policies", "graphs", "processor"},
+    "runs": {"runs", "tasks", "viewer", "learning", "policies", "graphs", "processor"},
     "imitation": {"imitation", "runs", "experts", "tasks", "trajectory", "learning", "policies", "graphs"},
     "planning": {"planning", "runs", "tasks", "trajectory", "learning", "policies", "graphs"},
     "playing": {

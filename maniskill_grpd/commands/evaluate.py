@@ -15,7 +15,7 @@ from maniskill_grpd.commands.run_command import run_command
 from maniskill_grpd.learning.options import to_arguments
 from maniskill_grpd.runs.checkpoint_card import write_card
 from maniskill_grpd.runs.episodes import describe_episodes, write_episodes
-from maniskill_grpd.runs.evaluation import Evaluation, EvaluationConfig, evaluate
+from maniskill_grpd.runs.evaluation import Evaluation, EvaluationConfig, evaluate, record_worst_and_median
 from maniskill_grpd.runs.fingerprint import describe_task
 from maniskill_grpd.runs.video import record_video
 
@@ -29,11 +29,13 @@ def evaluate_and_report(config: EvaluationConfig) -> None:
         f"policy after {found.global_step:,} steps"
     )
     print(describe_episodes(found.episodes))
+    if config.html is not None:
+        print(f"replay: {record_worst_and_median(config, found)}")
     if config.json is not None:
         write_episodes(config.json, _facts(config, found), found.episodes, indent=2)
     if config.card is not None:
-        words = to_arguments(dataclasses.replace(config, card=None))
-        write_card(config.card, config.checkpoint, found.contents, found.policy, words, found.episodes)
+        words = to_arguments(dataclasses.replace(config, card=None, html=None))
+        write_card(config.card, config.checkpoint, found.contents, found.policy, words, found.episodes, config.html)
     if config.video is not None:
         seeds = range(config.seed, config.seed + min(4, config.num_episodes))
         print(f"video: {record_video(found.policy, found.task, seeds, config.video)}")

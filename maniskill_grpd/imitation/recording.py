@@ -11,7 +11,11 @@ from tqdm import tqdm
 
 from maniskill_grpd.experts import make_expert
 from maniskill_grpd.learning.options import parse_options, require_positive
+from maniskill_grpd.runs.replays import Filming
 from maniskill_grpd.trajectory.episode_recorder import EpisodeRecorder
+
+MOST_FILMED = 4
+"""Episodes of a replay."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,8 @@ class RecordConfig:
     """seed of the first episode; evaluations use seeds from 500,000 up"""
     output: Path | None = None
     """folder to write to, by default demos/{env_id}"""
+    html: Path | None = None
+    """also write a replay of the first episodes, at most four, to this file"""
     keep_failures: bool = False
     """also keep episodes that do not end in success"""
     sim_backend: str = "auto"
@@ -52,6 +58,8 @@ def record(config: RecordConfig) -> tuple[Path, int]:
     path = folder / "trajectory.h5"
     if path.exists():
         raise FileExistsError(f"{path} exists; choose another --output")
+    if config.html is not None and config.html.exists():
+        raise FileExistsError(f"{config.html} exists; choose another --html")
     num_envs = min(config.num_envs, config.num_episodes)
     options = {"obs_mode": "graph", **parse_options("env_kwargs", config.env_kwargs)}
     env = gym.make(config.env_id, num_envs=num_envs, sim_backend=config.sim_backend, **options)
@@ -66,15 +74,24 @@ def record(config: RecordConfig) -> tuple[Path, int]:
         source_type="scripted",
         source_desc=f"the expert of {config.env_id}",
     )
+    filmed = range(min(num_envs, MOST_FILMED))
+    filming = Filming(env, filmed, f"the expert of {config.env_id}, seeds {config.seed} to {config.seed + len(filmed) - 1}")
     kept = 0
     for first in tqdm(range(0, config.num_episodes, num_envs), desc="demonstrations", unit="batch"):
         recorder.reset(seed=list(range(config.seed + first, config.seed + first + num_envs)))
+        is_filmed = first == 0 and config.html is not None
+        if is_filmed:
+            filming.shoot()
         for _ in range(num_steps):
             info = recorder.step(expert.act())[4]
+            if is_filmed:
+                filming.shoot()
         wanted = info["success"] | config.keep_failures
         wanted[config.num_episodes - first :] = False
         recorder.keep(wanted.nonzero()[:, 0].cpu().numpy())
         recorder.drop()
         kept += int(wanted.sum())
     recorder.close()
+    if config.html is not None:
+        filming.replay.write(config.html)
     return path, kept

@@ -63,11 +63,17 @@ class Session:
         self._thread = threading.Thread(target=self.run, name="player", daemon=True)
         self._thread.start()
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether its own thread plays."""
+        return self._thread is not None and self._thread.is_alive()
+
     def close(self) -> None:
         """End playing, write the replay that was asked for, stop the server; an environment that was given stays open."""
         self.player.stop()
         if self._thread is not None:
             self._thread.join(PATIENCE)
+        self.view.close()
         try:
             if self.config.record is not None and self.view.replay is not None:
                 self.view.save_replay(self.config.record)

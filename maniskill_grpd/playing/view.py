@@ -11,7 +11,6 @@ from maniskill_grpd.playing.player import Player
 from maniskill_grpd.tasks.pictures.browser_window import MOST_WORLDS
 from maniskill_grpd.tasks.pictures.dragging import Dragging
 from maniskill_grpd.tasks.pictures.world_parts import WorldParts
-from maniskill_grpd.viewer.framing import frame
 from maniskill_grpd.viewer.replay import Replay
 from maniskill_grpd.viewer.scene import Scene
 
@@ -78,6 +77,10 @@ class View:
         self._player.tell(f"{self.replay.write(path)}: {len(self.replay)} frames")
         self.replay = None
 
+    def close(self) -> None:
+        """Let go of all that is held."""
+        self._dragging.let_go()
+
     # ------------------------------------------------------------------ what the player tells
 
     def on_environment(self) -> None:
@@ -112,7 +115,7 @@ class View:
         self.parts = WorldParts(base, worlds)
         self._dragging = Dragging(self.parts)
         self.trails.clear()
-        self.scene.look_from(*frame(self.parts.parts().values(), self.parts.towards_viewer))
+        self.scene.look_from(*self.parts.viewpoint)
         self.gizmos.take_over(self.chosen_world, self.parts)
         self._show()
 

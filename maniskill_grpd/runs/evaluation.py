@@ -12,7 +12,9 @@ from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.options import THREADS, check_ranges, require_positive
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import load_policy
+from maniskill_grpd.runs.noisy_observer import NoisyObserver
 from maniskill_grpd.runs.play import change_task, play
+from maniskill_grpd.runs.replays import record_replay, worst_and_median
 from maniskill_grpd.runs.seeds import FIRST_TEST_SEED
 
 
@@ -44,6 +46,8 @@ class EvaluationConfig:
     """CPU threads PyTorch uses"""
     video: Path | None = None
     """also write a video of the first four episodes, side by side, to this mp4"""
+    html: Path | None = None
+    """also write a replay of the worst and the median episode to this file"""
     json: Path | None = None
     """also write the results, per episode, to this file"""
     card: Path | None = None
@@ -90,3 +94,22 @@ def evaluate(config: EvaluationConfig) -> Evaluation:
     seeds = range(config.seed, config.seed + config.num_episodes)
     episodes = play(policy, task, seeds, config.num_envs, sigma=config.sigma, stochastic=config.stochastic)
     return Evaluation(policy=policy, contents=contents, task=task, episodes=episodes)
+
+
+def record_worst_and_median(config: EvaluationConfig, found: Evaluation) -> Path:
+    """Play the worst and the median episode of an evaluation again, and write their replay; noise is drawn anew.
+
+    Raises:
+        ValueError: If the evaluation has no file for a replay.
+    """
+    if config.html is None:
+        raise ValueError("the evaluation has no file for a replay: --html")
+    chosen = worst_and_median(found.episodes["return"])
+    told = [f"{name} episode: seed {config.seed + which}, return {found.episodes['return'][which]:.1f}"
+            for name, which in zip(("worst", "median"), chosen, strict=True)]  # fmt: skip
+    noise = torch.Generator(next(found.policy.parameters()).device).manual_seed(config.seed + 1)
+    actor = NoisyObserver(found.policy, config.sigma, noise) if config.sigma else found.policy
+    seeds = [config.seed + which for which in chosen]
+    title = f"{found.task.env_id}, {config.checkpoint.name}, of {config.num_episodes} episodes. Left, {told[0]}; right, {told[1]}"
+    record_replay(actor, found.task, seeds, config.html, title, stochastic=config.stochastic)
+    return config.html

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from maniskill_grpd.viewer.drag import Drag
-from maniskill_grpd.viewer.framing import HALF_VIEW
 from maniskill_grpd.viewer.parts import Color, Copies, Look, Part, Shell, same_array, same_mesh
 
 if TYPE_CHECKING:
@@ -51,11 +50,11 @@ class Scene:
         for _ in range(self._drags.qsize()):
             yield self._drags.get_nowait()
 
-    def look_from(self, position: np.ndarray, target: np.ndarray) -> None:
-        """Move the cameras of all clients, also of those that come later [m]."""
+    def look_from(self, position: np.ndarray, target: np.ndarray, fov: float) -> None:
+        """Move the cameras of all clients, also of those that come later: places (3,) [m], vertical field of view [rad]."""
         initial = self.server.initial_camera
         initial.position, initial.look_at = tuple(map(float, position)), tuple(map(float, target))
-        initial.fov = 2.0 * HALF_VIEW
+        initial.fov = fov
         for client in self.server.get_clients().values():
             client.camera.position, client.camera.look_at, client.camera.fov = initial.position, initial.look_at, initial.fov
 

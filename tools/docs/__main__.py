@@ -1,7 +1,8 @@
 """Write all pages of docs/ that follow from committed data: `python -m tools.docs`, or `make docs`.
 
 Nothing is measured here and nothing takes long. What the pages are made of is written by `benchmarks/*.py`,
-`python -m tools.docs.measure_physics`, and studies; pictures of the tasks by `python -m tools.docs.task_gallery`.
+`python -m tools.docs.measure_physics`, and studies; pictures of the tasks by `python -m tools.docs.task_gallery`, replays of them
+and of the shipped checkpoints by `python -m tools.docs.replays`.
 """
 
 from __future__ import annotations

@@ -17,7 +17,9 @@ def pages() -> dict[str, str]:
     """Return the text of each page, by its name within docs/."""
     checks, strains = _checks(), _rows("physics/strain.json")
     return {
-        "tasks.md": tasks_page(_rows("benchmarks/tasks.json"), _rows("benchmarks/goal_shapes.json")),
+        "tasks.md": tasks_page(
+            _rows("benchmarks/tasks.json"), _rows("benchmarks/goal_shapes.json"), _rows("replays/replays.json")
+        ),
         "benchmarks/cameras.md": benchmark_pages.cameras_page(_rows("benchmarks/cameras.json")),
         "benchmarks/env.md": benchmark_pages.env_page(_rows("benchmarks/env.json")),
         "benchmarks/physics.md": benchmark_pages.physics_page(_rows("benchmarks/physics.json")),

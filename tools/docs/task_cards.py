@@ -23,19 +23,24 @@ be laid: a policy trained on the W does so in 89 % of 200 episodes ([measured ea
 No policy has laid a spiral reliably."""
 
 
-def tasks_page(rows: list[dict[str, Any]], searches: list[dict[str, Any]]) -> str:
+def tasks_page(rows: list[dict[str, Any]], searches: list[dict[str, Any]], replays: list[dict[str, str]]) -> str:
     """Return the page.
 
     Args:
         rows: What `benchmarks/tasks.py` measured.
         searches: What `examples/goal_shape_reachability.py` found.
+        replays: What `python -m tools.docs.replays` recorded.
     """
-    cards = [card(uid) for uid, spec in sorted(REGISTERED_ENVS.items()) if issubclass(spec.cls, DeformableEnv)]
+    cards = [
+        card(uid, [row for row in replays if row["env"] == uid])
+        for uid, spec in sorted(REGISTERED_ENVS.items())
+        if issubclass(spec.cls, DeformableEnv)
+    ]
     return "\n\n".join(["# Tasks", tables(rows), goal_shapes(searches), *cards]) + "\n"
 
 
-def card(uid: str) -> str:
-    """Return the card of a task in the form of ManiSkill's documentation."""
+def card(uid: str, replays: list[dict[str, str]]) -> str:
+    """Return the card of a task in the form of ManiSkill's documentation, with links to replays."""
     spec = REGISTERED_ENVS[uid]
     task = spec.cls
     facts = [
@@ -46,7 +51,11 @@ def card(uid: str) -> str:
     picture = f"![{uid}: the expert](images/{uid}.gif)"
     options = inspect.getdoc(task.__init__).partition("Args:")[2].partition("Raises:")[0]
     lines = [" ".join(line.split()) if not line.startswith("    ") else line.strip() for line in options.strip().splitlines()]
-    return "\n\n".join([f"## {uid}", picture, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines)])
+    shown = ", ".join(f"[{row['who']}](replays/{row['file']})" for row in replays)
+    shown = [f"Replays from all sides, to be downloaded and opened in a browser: {shown}."] if replays else []
+    return "\n\n".join(
+        [f"## {uid}", picture, *shown, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines)]
+    )
 
 
 def tables(rows: list[dict[str, Any]]) -> str:

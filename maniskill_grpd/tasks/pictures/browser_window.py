@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mani_skill import logger
+
 from maniskill_grpd.tasks.pictures.dragging import Dragging
 from maniskill_grpd.tasks.pictures.world_parts import WorldParts
-from maniskill_grpd.viewer.framing import frame
 from maniskill_grpd.viewer.scene import Scene
 from maniskill_grpd.viewer.server import address_of, open_server
 
@@ -33,9 +34,10 @@ class BrowserWindow:
         self._parts = WorldParts(env, range(min(env.num_envs, MOST_WORLDS)))
         self._dragging = Dragging(self._parts)
         self._scene = Scene(open_server())
-        self._scene.look_from(*frame(self._parts.parts().values(), self._parts.towards_viewer))
+        self._scene.look_from(*self._parts.viewpoint)
         self.address = address_of(self._scene.server)
         """Where a browser finds it."""
+        logger.warning(f"SAPIEN cannot draw here; open {self.address} in a browser")
 
     def show(self) -> None:
         """Pull as the mice do, and show the worlds as they are now."""

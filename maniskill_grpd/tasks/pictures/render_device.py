@@ -43,28 +43,22 @@ sys.exit(0 if camera.get_picture("Color")[8, 8, :3].max() > 0 else 1)
 def choose_render_device(requested: str | None, render_mode: str | None, obs_mode: str) -> str | None:
     """Return SAPIEN's name of the device to draw with, None where nothing is drawn by SAPIEN.
 
+    Where it should draw and cannot, numpy draws pictures, the rasteriser draws observations, and a browser shows "human".
+
     Args:
         requested: "auto": image observations without SAPIEN, which draws one world after the other, pictures with whatever can
             draw; "warp", "none" or None: never SAPIEN; or a render backend of ManiSkill ("gpu", "cuda", "cpu", "sapien_cuda",
             "sapien_cpu", "cuda:1", "pci:0").
-        render_mode: ManiSkill's render mode. Only "human" needs SAPIEN.
+        render_mode: ManiSkill's render mode.
         obs_mode: ManiSkill's part of the observation mode.
-
-    Raises:
-        ValueError: If SAPIEN is needed and cannot draw. Says how to get a renderer.
     """
     has_images = needs_camera(obs_mode)
-    needs_sapien = render_mode == "human"
-    if (render_mode is None and not has_images) or (requested == "auto" and has_images and not needs_sapien):
+    wants_window = render_mode == "human"
+    if (render_mode is None and not has_images) or (requested == "auto" and has_images and not wants_window):
         return None
     device = next((name for name in _candidates(requested) if can_draw(name)), None)
-    if device is None and needs_sapien:
-        raise ValueError(
-            f"render_mode {render_mode!r} needs SAPIEN, and render_backend {requested!r} finds no device on which it can draw. "
-            f"{INSTALL_HINT}. All other modes work without."
-        )
     if device is None and requested not in ("auto", *WITHOUT_SAPIEN):
-        logger.warning(f"render_backend {requested!r} cannot draw here; images are drawn without SAPIEN, in Warp")
+        logger.warning(f"render_backend {requested!r} cannot draw here; images are drawn without SAPIEN. {INSTALL_HINT}")
     return device
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,8 +21,10 @@ from maniskill_grpd.tasks.pictures.surfaces import (
     table_top,
     tube_surface,
 )
-from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 from maniskill_grpd.viewer.parts import Copies, Look, Part, Shell, same_array
+
+if TYPE_CHECKING:
+    from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 
 SPACING = {True: 1.9, False: 2.4}
 """Distance of neighbouring worlds, with and without a table [m]."""
@@ -68,8 +70,15 @@ class WorldParts:
         return self.offsets[self.worlds.index(world)]
 
     @property
+    def viewpoint(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Where somebody who sees all worlds stands and looks, (3,) each [m], and the vertical field of view [rad]."""
+        position, target, fov = self.env.viewpoint
+        farther = 1.0 + np.abs(self.offsets).max() / (np.linalg.norm(self.towards_viewer) * np.tan(fov / 2.0))
+        return np.asarray(target) + farther * self.towards_viewer, np.asarray(target), fov
+
+    @property
     def towards_viewer(self) -> np.ndarray:
-        """Direction in which the camera of the task stands, (3,)."""
+        """From where the camera of the task looks to where it stands, (3,) [m]."""
         position, target, _ = self.env.viewpoint
         return np.subtract(position, target)
 

@@ -17,6 +17,7 @@ from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.rendering import SolverScene, palette
 from maniskill_grpd.tasks.options.observation_mode import needs_camera
 from maniskill_grpd.tasks.pictures.arm_solids import arm_bodies, arm_solids
+from maniskill_grpd.tasks.pictures.browser_window import BrowserWindow
 from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
@@ -155,10 +156,23 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         return [image[:MAX_DRAWN_WORLDS] for images in cameras for image in images.values()]
 
     def render_human(self) -> Any:
-        """Show the first world in SAPIEN's viewer."""
+        """Show the first world in SAPIEN's viewer or, where SAPIEN cannot draw, up to 16 worlds on a page for a browser.
+
+        Returns:
+            The viewer; a `BrowserWindow`, where `address` says where the page is, needs viser (the extra `viewer`).
+        """
         self.evaluate()
+        if not self.scene.can_render():
+            if self._viewer is None:
+                self._viewer = BrowserWindow(self)
+            self._viewer.show()
+            return self._viewer
         self._painter.show(self.checked_drawing(0))
         return super().render_human()
+
+    def _setup_viewer(self) -> None:
+        if self.scene.can_render():
+            super()._setup_viewer()
 
     def get_sensor_params(self) -> dict[str, dict[str, torch.Tensor]]:
         """Return the cameras' parameters, (B, ...)."""
@@ -173,6 +187,8 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     def _set_up_drawing(self, options: dict) -> None:
         """Choose who paints, and set up the cameras of the rasteriser; ManiSkill sets up those of SAPIEN."""
         self._painter, self._raster_view = choose_painter(self), None
+        if self.render_mode == "human" and not self.scene.can_render():
+            self._viewer = BrowserWindow(self)  # ManiSkill opens SAPIEN's where there is none
         has_sensors = needs_camera(self._obs_mode) or self.render_mode in ("sensors", "all")
         if has_sensors and not self.scene.can_render():
             self._setup_sensors(options)
