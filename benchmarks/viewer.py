@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from machine import describe_machine, report
 
-from maniskill_grpd.playing.player import PlayConfig
+from maniskill_grpd.playing.play_config import PlayConfig
 from maniskill_grpd.playing.session import Session
 
 NUM_WORLDS, NUM_WARM, NUM_FRAMES = 16, 20, 200

@@ -37,7 +37,7 @@ ALLOWED = {
         "policies",
         "graphs",
         "physics",
-    },  # fmt: skip
+    },
     "commands": {
         "commands",
         "program",

@@ -42,7 +42,7 @@ Rope and cloth tasks for ManiSkill: training, evaluation and studies.
   --seed N --num_episodes N --num_envs N   first seed, number of episodes, environments in parallel
   --sim_backend auto|cpu|cuda              where the simulation runs
   --output PATH                            file or folder that the result goes to
-  --json --markdown --video --card FILE    also write the result in that form
+  --json --markdown --html --video --card FILE   also write the result in that form
   --dry_run                                say what would be done, and stop
 """
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import torch
 
 from maniskill_grpd.commands.run_command import run_command
-from maniskill_grpd.playing.player import PlayConfig
+from maniskill_grpd.playing.play_config import PlayConfig
 from maniskill_grpd.playing.session import Session
 
 

@@ -4,6 +4,7 @@ One thread, that of the player, owns the environment. What clients do arrives fr
 """
 
 from maniskill_grpd.playing.notebook import show_notebook
-from maniskill_grpd.playing.player import PlayConfig, Player
+from maniskill_grpd.playing.play_config import PlayConfig
+from maniskill_grpd.playing.player import Player
 
 __all__ = ["PlayConfig", "Player", "show_notebook"]

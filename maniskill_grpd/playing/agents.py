@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -9,13 +10,17 @@ import torch
 
 from maniskill_grpd.agents.floating_grippers import STEP_SIZE
 from maniskill_grpd.experts import make_expert
+from maniskill_grpd.learning import TrainConfig
 from maniskill_grpd.learning.rollout import Graph
+from maniskill_grpd.planning import PlannerOptions
+from maniskill_grpd.planning.actor import PlanningActor
+from maniskill_grpd.planning.episodes import make_planner
 from maniskill_grpd.playing.action_layout import ActionLayout
 from maniskill_grpd.policies import Policy
 from maniskill_grpd.runs.checkpoints import check_schema, load_policy
 from maniskill_grpd.runs.noisy_observer import NoisyObserver
 
-AgentName = Literal["policy", "expert", "random", "zero", "teleop"]
+AgentName = Literal["policy", "expert", "planner", "random", "zero", "teleop"]
 
 
 class Agent(Protocol):
@@ -61,6 +66,30 @@ class ExpertAgent:
     def act(self, graph: Graph) -> torch.Tensor:
         """See `Agent`."""
         return self._expert.act()
+
+
+class PlannerAgent:
+    """Plans in worlds of its own, with the options that the command `plan` has by default; slower than real time.
+
+    Args:
+        task: Names the task and its options.
+        env: The environment.
+
+    Raises:
+        ValueError: If the task cannot be planned in.
+    """
+
+    def __init__(self, task: TrainConfig, env: Any) -> None:
+        self._planner = make_planner(task, env.unwrapped.num_envs, PlannerOptions())
+        self._actor = PlanningActor(self._planner, env)
+
+    def begin(self, seeds: Sequence[int]) -> None:
+        """Begin new episodes, of these seeds."""
+        self._planner.begin(seeds)
+
+    def act(self, graph: Graph) -> torch.Tensor:
+        """See `Agent`."""
+        return self._actor.act(graph)
 
 
 class RandomAgent:

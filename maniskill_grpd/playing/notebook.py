@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from maniskill_grpd.playing.agents import AgentName
-from maniskill_grpd.playing.player import PlayConfig
+from maniskill_grpd.playing.play_config import PlayConfig
 from maniskill_grpd.playing.session import Session
 
 HEIGHT = 600

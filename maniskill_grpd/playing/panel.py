@@ -57,7 +57,7 @@ class Panel:
 
     def on_environment(self) -> None:
         """See `Watcher`."""
-        self._world.options = self._worlds()
+        self._world.options, self._gripper.options = self._worlds(), self._grippers()
         self._options.value = " ".join(self._player.task.env_kwargs)
         self._plots.clear()
         self._show_state()
@@ -141,9 +141,9 @@ class Panel:
     def _build_hand(self) -> None:
         gui, player = self._gui, self._player
         gui.add_markdown("The agent *teleop* goes where its gizmos are.")
-        gripper = gui.add_slider("gripper", min=0, max=player.base.num_grippers - 1, step=1, initial_value=0)
+        self._gripper = gui.add_dropdown("gripper", options=self._grippers(), initial_value="0")
         for label, is_closed in (("Open", False), ("Close", True)):
-            click = lambda is_closed=is_closed: self._view.gizmos.grip(int(gripper.value), is_closed)  # noqa: E731
+            click = lambda is_closed=is_closed: self._view.gizmos.grip(int(self._gripper.value), is_closed)  # noqa: E731
             self._on_click(gui.add_button(label), click)
         self._on_click(gui.add_button("Record episodes"), player.start_recording)
         self._on_click(gui.add_button("Keep this episode"), player.keep_episode)
@@ -213,6 +213,9 @@ class Panel:
 
     def _worlds(self) -> tuple[str, ...]:
         return (ALL, *map(str, range(self._player.base.num_envs)))
+
+    def _grippers(self) -> tuple[str, ...]:
+        return tuple(map(str, range(self._player.base.num_grippers)))
 
     def _show_state(self) -> None:
         label = "Pause" if self._player.is_playing else "Play"

@@ -7,7 +7,8 @@ from types import TracebackType
 from typing import Any
 
 from maniskill_grpd.playing.panel import Panel
-from maniskill_grpd.playing.player import PlayConfig, Player
+from maniskill_grpd.playing.play_config import PlayConfig
+from maniskill_grpd.playing.player import Player
 from maniskill_grpd.playing.view import View
 from maniskill_grpd.viewer.server import address_of, open_server
 
@@ -51,7 +52,8 @@ class Session:
         if config.host == "127.0.0.1":
             lines.append(f"from another machine: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE")
         if config.share:
-            lines.append(f"shared with everybody at {self.server.request_share_url(verbose=False)}")
+            url = self.server.request_share_url(verbose=False)
+            lines.append("no public address could be had" if url is None else f"open to everybody at {url}")
         return "\n".join(lines)
 
     def run(self) -> None:

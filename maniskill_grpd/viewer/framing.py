@@ -8,7 +8,7 @@ import numpy as np
 
 from maniskill_grpd.viewer.parts import Part, Shell
 
-MARGIN = 1.2
+MARGIN = 1.0
 """Distance of the camera over that from which everything just fits."""
 HALF_VIEW = 0.4
 """Half the vertical field of view of viewers [rad]."""

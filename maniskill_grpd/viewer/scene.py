@@ -103,7 +103,7 @@ class Scene:
         # A coroutine: viser calls others out of order.
         self._drags.put(Drag(event.client_id, event.phase, np.array(event.start_position), np.array(event.end_position)))
 
-    def _forget_client(self, client: viser.ClientHandle) -> None:
+    async def _forget_client(self, client: viser.ClientHandle) -> None:
         self._drags.put(Drag(client.client_id, "end", np.zeros(3), np.zeros(3)))
 
 

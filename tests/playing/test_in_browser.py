@@ -1,5 +1,6 @@
 """In a real browser: pages show worlds, mice pull nodes, gizmos lead grippers, buttons steer, replays play by themselves."""
 
+import contextlib
 import io
 import shutil
 import socket
@@ -11,17 +12,19 @@ import pytest
 from PIL import Image
 
 from maniskill_grpd.playing.gizmos import SIZE
-from maniskill_grpd.playing.player import PlayConfig, Player
+from maniskill_grpd.playing.play_config import PlayConfig
+from maniskill_grpd.playing.player import Player
 from maniskill_grpd.playing.session import Session
 from maniskill_grpd.tasks.pictures.world_parts import WorldParts
 from maniskill_grpd.viewer.replay import Replay
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium")
+exceptions = pytest.importorskip("selenium.common.exceptions", reason="needs selenium")
 pytest.importorskip("viser", reason="the viewer needs viser")
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 FLAGS = ("--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-PATIENCE = 60.0
+PATIENCE = 240.0
 
 pytestmark = [
     pytest.mark.browser,
@@ -33,8 +36,9 @@ pytestmark = [
 def browser():
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
-    for flag in (*FLAGS, "--window-size=800,500"):
+    for flag in (*FLAGS, "--window-size=800,700"):
         options.add_argument(flag)
+    options.page_load_strategy = "none"  # `open_page` waits until something is drawn
     driver = webdriver.Chrome(service=webdriver.ChromeService(DRIVER), options=options)
     yield driver
     driver.quit()
@@ -97,8 +101,15 @@ def open_page(browser, session: Session) -> None:
 
 def picture(browser) -> np.ndarray:
     """Return the left part of what the browser shows, without the panel, (H, W, 3)."""
-    shot = np.asarray(Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB"), dtype=float)
-    return shot[200:, :460]
+    shots = []
+
+    def shoot() -> bool:
+        with contextlib.suppress(exceptions.TimeoutException):  # the driver gives a slow page ten seconds
+            shots.append(browser.get_screenshot_as_png())
+        return bool(shots)
+
+    wait_for(shoot)
+    return np.asarray(Image.open(io.BytesIO(shots[0])).convert("RGB"), dtype=float)[200:, :460]
 
 
 def pixel_of(browser, session: Session, point: np.ndarray) -> tuple[int, int]:

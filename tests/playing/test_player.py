@@ -8,7 +8,8 @@ import torch
 
 from maniskill_grpd.learning import CheckpointError
 from maniskill_grpd.playing.agents import Teleoperator
-from maniskill_grpd.playing.player import PlayConfig, Player
+from maniskill_grpd.playing.play_config import PlayConfig
+from maniskill_grpd.playing.player import Player
 
 CHECKPOINTS = Path(__file__).parents[2] / "checkpoints"
 ROPE, WRAPPING = CHECKPOINTS / "rope_shaping_w.pt", CHECKPOINTS / "rope_wrapping.pt"
@@ -69,9 +70,10 @@ def test_a_checkpoint_brings_its_task_and_acts_as_in_an_evaluation(make):
     assert torch.equal(player.moment.action, player.agent.policy.act(graph, deterministic=True))
 
 
-@pytest.mark.parametrize("agent", ["expert", "random", "zero"])
+@pytest.mark.parametrize("agent", ["expert", "planner", "random", "zero"])
 def test_agents_act(make, agent):
     player = make(env_id="RopeShaping-v1", agent=agent, num_envs=2)
+    player.reset()
     before = player.base.solver.gripper_positions.clone()
     for _ in range(3):
         player.step()

@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from maniskill_grpd.imitation.demonstrations import load_demonstrations
-from maniskill_grpd.playing.player import PlayConfig
+from maniskill_grpd.playing import show_notebook
+from maniskill_grpd.playing.play_config import PlayConfig
 from maniskill_grpd.playing.session import Session
 from maniskill_grpd.trajectory.recording import read_recording
 from maniskill_grpd.trajectory.replay import replay
@@ -171,6 +172,19 @@ def test_memory_and_threads_do_not_grow_with_clients_that_come_and_go():
         assert counts[-1][0] <= counts[2][0] + 1
         assert counts[-1][1] <= counts[2][1] + 20
         assert session.is_alive
+
+
+def test_a_notebook_shows_the_page_and_gives_the_environment_back():
+    env = gym.make("RopeShaping-v1", num_envs=2, obs_mode="graph", sim_backend="cpu")
+    viewer = show_notebook(env, "expert", port=free_port())
+    assert f'src="{viewer.address}"' in viewer._repr_html_()
+    wait_for(lambda: viewer.player.moment.step > 3)
+    with connect(viewer) as client_of_it:
+        assert client_of_it.recv(timeout=PATIENCE)
+    viewer.close()
+    assert not viewer.is_alive
+    env.reset(seed=[1, 2])
+    env.close()
 
 
 def test_ctrl_c_ends_the_program(tmp_path):

@@ -33,6 +33,41 @@ def env_page(rows: Sequence[Row]) -> str:
     return _page("Environment throughput", "python benchmarks/env.py --json docs/benchmarks/env.json", rows, table, note)
 
 
+def viewer_page(rows: Sequence[Row]) -> str:
+    """Return the page of `benchmarks/viewer.py`."""
+    about = (
+        "States of 16 cloths of 100 nodes on ClothHanging-v1 a second, the shipped policy acting, as fast as they go. Processor\n"
+        "seconds are those of the process of the viewer, all its threads; what a browser needs to draw is not in them."
+    )
+    frames = _table(
+        ["what", "worlds", "frames/s", "frames per processor second"],
+        [
+            [row["what"], row["num_worlds"], f"{row['frames_per_s']:.1f}", f"{row['frames_per_processor_s']:.1f}"]
+            for row in rows
+            if "what" in row
+        ],
+    )
+    memory = _table(
+        ["seconds", "visits", "MiB after a fifth of the time", "MiB at the end", "threads", "threads at the end"],
+        [
+            [
+                f"{row['seconds']:.0f}",
+                row["visits"],
+                f"{row['MiB_at_first']:.0f}",
+                f"{row['MiB_at_last']:.0f}",
+                row["threads_at_first"],
+                row["threads_at_last"],
+            ]
+            for row in rows
+            if "visits" in row
+        ],
+    )
+    command = "python benchmarks/viewer.py --soak 600 --json docs/benchmarks/viewer.json"
+    told = "Four worlds in real time, beside two clients that leave and come back every ten seconds:"
+    soaked = (told, memory) if any("visits" in row for row in rows) else ()
+    return _page("Viewer", command, rows, about, frames, *soaked)
+
+
 def cameras_page(rows: Sequence[Row]) -> str:
     """Return the page of `benchmarks/cameras.py`."""
     about = (

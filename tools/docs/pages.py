@@ -24,6 +24,7 @@ def pages() -> dict[str, str]:
         "benchmarks/env.md": benchmark_pages.env_page(_rows("benchmarks/env.json")),
         "benchmarks/physics.md": benchmark_pages.physics_page(_rows("benchmarks/physics.json")),
         "benchmarks/policy.md": benchmark_pages.policy_page(_rows("benchmarks/policy.json")),
+        "benchmarks/viewer.md": benchmark_pages.viewer_page(_rows("benchmarks/viewer.json")),
         "benchmarks/train.md": benchmark_pages.train_page(_rows("benchmarks/train.json")),
         "physics/validation.md": physics_validation.validation_page(checks),
         "physics.md": physics_validation.physics_page((DOCS / "physics.md").read_text(encoding="utf-8"), checks, strains),
