@@ -2,9 +2,10 @@
 
 python examples/start_from_demonstrations.py [--seeds 1 2 3] [--total_timesteps N] --json docs/results/data/demonstrations.json
 
-Records the expert of RopeWrapping-v1, then trains from it with both algorithms: `train --demonstrations FILE --algorithm A
---seed N`. With one seed both start from the same policy, whose values are untrained, so that the first advantages are noise. The
-file gets the evaluations of every run, the first of them that of the clone; runs that it holds already are not repeated.
+Records the expert of ClothHanging-v1, then trains from it with both algorithms: `train --demonstrations FILE --algorithm A
+--seed N`. With one seed both start from the same policy. With --untrained_values the value function is left as it was made, so
+that the first advantages are noise. The file gets the evaluations of every run, the first of them that of the clone; runs that it
+holds already are not repeated.
 `python -m tools.docs` makes docs/results/demonstrations.md of it.
 """
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +24,11 @@ from maniskill_grpd.imitation.warm_start import start_from_demonstrations
 from maniskill_grpd.learning.run_log import read_rows
 from maniskill_grpd.runs.training import train
 
-ENV_ID = "RopeWrapping-v1"
-ENV_KWARGS = ("graph_nodes=21",)
+ENV_ID = "ClothHanging-v1"
+ENV_KWARGS = ("resolution=64", "graph_nodes=25")
 DEMONSTRATIONS = Path("demos/start_from_demonstrations")
 ALGORITHMS = ("bpp", "ppo")
-SETTINGS = "--eval_freq 1 --num_eval_envs 32 --no_capture_video --checkpoint_freq 1000"
+SETTINGS = "--eval_freq 1 --num_eval_envs 20 --no_capture_video --checkpoint_freq 1000"
 
 
 def demonstrate(num_episodes: int) -> Path:
@@ -37,17 +39,18 @@ def demonstrate(num_episodes: int) -> Path:
     return path
 
 
-def train_from(path: Path, algorithm: str, seed: int, total_timesteps: int) -> dict[str, Any]:
+def train_from(path: Path, algorithm: str, seed: int, total_timesteps: int, *, fit_values: bool) -> dict[str, Any]:
     """Train once; return what was run, the commit, and the evaluations by environment step."""
     choices = ["--algorithm", algorithm, "--seed", str(seed), "--total_timesteps", str(total_timesteps)]
     words = ["--env_id", ENV_ID, "--env_kwargs", *ENV_KWARGS, "--demonstrations", str(path), *choices, *SETTINGS.split()]
-    run_dir = train(parse_train_options(words), warm_start=start_from_demonstrations)
+    run_dir = train(parse_train_options(words), warm_start=partial(start_from_demonstrations, fit_values=fit_values))
     rows = read_rows(run_dir / "metrics.jsonl")
     run = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
     names = ("success_at_end", "return")
     return {
         "algorithm": algorithm,
         "seed": seed,
+        "values": "fitted" if fit_values else "untrained",
         "command": "maniskill-grpd train " + " ".join(words),
         "commit": run["git"] and run["git"]["commit"],
         "evaluations": [
@@ -61,16 +64,20 @@ def main() -> None:
     """Train what the file does not hold yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3], help="seeds of clone and training")
-    parser.add_argument("--num_episodes", type=int, default=100, help="episodes that the expert demonstrates")
-    parser.add_argument("--total_timesteps", type=int, default=16_000, help="environment steps of each training")
+    parser.add_argument("--num_episodes", type=int, default=80, help="episodes that the expert demonstrates")
+    parser.add_argument("--total_timesteps", type=int, default=6_400, help="environment steps of each training")
+    parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS), choices=ALGORITHMS, help="algorithms to train with")
+    parser.add_argument("--untrained_values", action="store_true", help="leave the value function as it was made")
     parser.add_argument("--json", type=Path, required=True, help="file of the runs")
     arguments = parser.parse_args()
     runs = json.loads(arguments.json.read_text(encoding="utf-8")) if arguments.json.exists() else []
-    known = {(run["algorithm"], run["seed"]) for run in runs}
+    values = "untrained" if arguments.untrained_values else "fitted"
+    known = {(run["algorithm"], run["seed"], run["values"]) for run in runs}
     path = demonstrate(arguments.num_episodes)
-    for seed, algorithm in itertools.product(arguments.seeds, ALGORITHMS):
-        if (algorithm, seed) not in known:
-            runs.append(train_from(path, algorithm, seed, arguments.total_timesteps))
+    for seed, algorithm in itertools.product(arguments.seeds, arguments.algorithms):
+        if (algorithm, seed, values) not in known:
+            fitted = not arguments.untrained_values
+            runs.append(train_from(path, algorithm, seed, arguments.total_timesteps, fit_values=fitted))
             arguments.json.write_text(json.dumps(runs, indent=1) + "\n", encoding="utf-8")
 
 

@@ -26,12 +26,34 @@ class Demonstrations:
     """What the expert does there, (M, A, 3), in units of the largest displacement per step; (M, A, 4) where grippers open (0) and
     close (1), the last."""
     episode: torch.Tensor
-    """Episode that each observation is from, (M,) int64."""
+    """Episode that each observation is from, in the order of its steps, (M,) int64."""
+    rewards: torch.Tensor | None = None
+    """What each action brought, (M,); None where that was not recorded."""
 
     @property
     def num_episodes(self) -> int:
         """Number of episodes E."""
         return int(self.episode.max()) + 1
+
+    def returns(self, discount: float) -> torch.Tensor:
+        """Return the discounted sum of the rewards from each observation on, (M,).
+
+        A time limit is no end, as for the values of a training: the last reward of an episode is taken to go on for ever, which
+        needs a discount below 1.
+
+        Raises:
+            ValueError: If there are no rewards.
+        """
+        if self.rewards is None:
+            raise ValueError("the demonstrations have no rewards")
+        returns, rewards, episodes = torch.empty_like(self.rewards), self.rewards.tolist(), self.episode.tolist()
+        following = 0.0
+        for index in reversed(range(len(rewards))):
+            if index + 1 == len(rewards) or episodes[index + 1] != episodes[index]:
+                following = rewards[index] / (1.0 - discount) if discount < 1.0 else 0.0
+            following = rewards[index] + discount * following
+            returns[index] = following
+        return returns
 
     def select(self, index: torch.Tensor) -> tuple[Graph, torch.Tensor]:
         """Return the graphs and actions at positions (m,)."""
@@ -97,7 +119,7 @@ def load_demonstrations(path: Path, schema: GraphSchema, *, has_grippers: bool =
     """
     if not path.is_file():
         raise FileNotFoundError(f"no trajectories at {path}")
-    graphs, actions, episodes = [], [], []
+    graphs, actions, episodes, rewards = [], [], [], []
     with h5py.File(path) as file:
         names = [name for name in file if f"{name}/obs/graph" in file]
         if not names:
@@ -110,6 +132,8 @@ def load_demonstrations(path: Path, schema: GraphSchema, *, has_grippers: bool =
             graphs.append(_read_graph(file[name]["obs/graph"], len(taken)))
             actions.append(taken.unflatten(1, (-1, 4 if has_grippers else 3)))
             episodes.append(torch.full((len(taken),), number))
+            if "rewards" in file[name]:
+                rewards.append(torch.from_numpy(file[name]["rewards"][:]).float())
     graph = _concatenate(graphs)
     schema.validate(graph, values=True)
     # Recorded actions are what was asked for; the controller limits their length.
@@ -117,7 +141,10 @@ def load_demonstrations(path: Path, schema: GraphSchema, *, has_grippers: bool =
     motion = motion / torch.linalg.vector_norm(motion, dim=-1, keepdim=True).clamp(min=1.0)
     # The controller opens below a half.
     wanted = torch.cat([motion, (grip > 0.5).float()], dim=-1)
-    return Demonstrations(graph=graph, actions=wanted, episode=torch.cat(episodes))
+    has_rewards = len(rewards) == len(episodes)
+    return Demonstrations(
+        graph=graph, actions=wanted, episode=torch.cat(episodes), rewards=torch.cat(rewards) if has_rewards else None
+    )
 
 
 def _first_on_cpu(graph: Graph, num: int) -> Graph:

@@ -14,17 +14,22 @@ from maniskill_grpd.imitation.demonstrations import Demonstrations
 from maniskill_grpd.policies import ActionDistribution, Policy
 
 MAX_GRAD_NORM = 1.0
+VALUE_WEIGHT = 0.1
+"""Weight of the squared error of values beside the loss of the actions, which share layers with them."""
 EVALUATION_CHUNK = 1000
 """Observations per forward pass of the validation."""
 
 
-def train_policy(policy: Policy, demonstrations: Demonstrations, config: CloneConfig) -> dict[str, Any]:
-    """Fit the distribution of a policy to demonstrated actions.
+def train_policy(
+    policy: Policy, demonstrations: Demonstrations, config: CloneConfig, values: torch.Tensor | None = None
+) -> dict[str, Any]:
+    """Fit the distribution of a policy to demonstrated actions, and its value function if there are values to learn.
 
     Args:
         policy: Changed in place; its normaliser takes its scales from the training episodes.
         demonstrations: What to learn.
         config: Options of the training.
+        values: What the value network is to give at each observation, (M,), of order one.
 
     Returns:
         Errors on training and held-out episodes, processor seconds, gradient steps.
@@ -43,7 +48,8 @@ def train_policy(policy: Policy, demonstrations: Demonstrations, config: CloneCo
         for _ in progress:
             order = train[torch.randperm(len(train), generator=generator)]
             for index in order.split(config.batch_size):
-                gradient_step(policy, optimizer, *demonstrations.select(index), config.loss)
+                target = None if values is None else values[index]
+                gradient_step(policy, optimizer, *demonstrations.select(index), config.loss, target)
                 schedule.step()
             history.append(relative_error(policy, demonstrations, held_out))
             progress.set_postfix_str(f"validation error {history[-1]:.1%}")
@@ -57,11 +63,21 @@ def train_policy(policy: Policy, demonstrations: Demonstrations, config: CloneCo
 
 
 def gradient_step(
-    policy: Policy, optimizer: torch.optim.Optimizer, graph: dict[str, Any], actions: torch.Tensor, loss: str
+    policy: Policy,
+    optimizer: torch.optim.Optimizer,
+    graph: dict[str, Any],
+    actions: torch.Tensor,
+    loss: str,
+    values: torch.Tensor | None = None,
 ) -> None:
-    """Take one step on M demonstrated actions (M, A, 3)."""
+    """Take one step on M demonstrated actions (M, A, 3), and values (M,) if there are any."""
     optimizer.zero_grad(set_to_none=True)
-    LOSSES[loss](policy.distribution(graph), actions).backward()
+    if values is None:
+        error = LOSSES[loss](policy.distribution(graph), actions)
+    else:
+        distribution, output = policy(graph)
+        error = LOSSES[loss](distribution, actions) + VALUE_WEIGHT * (output - values).square().mean()
+    error.backward()
     torch.nn.utils.clip_grad_norm_(policy.parameters(), MAX_GRAD_NORM)
     optimizer.step()
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import torch
+
 from maniskill_grpd.imitation.clone_config import CloneConfig
 from maniskill_grpd.imitation.demonstrations import Demonstrations, load_demonstrations
 from maniskill_grpd.imitation.regression import train_policy
@@ -15,14 +17,17 @@ EPOCHS = 12
 """Passes over the demonstrations."""
 
 
-def start_from_demonstrations(trainer: Trainer) -> None:
+def start_from_demonstrations(trainer: Trainer, *, fit_values: bool = True) -> None:
     """Let the policy of a trainer clone the demonstrations that its options name.
 
     Its mean actions and its scales of observations are then those of the demonstrations; its standard deviation is what it was
-    made with, and its values are untrained. In every process the result is the same.
+    made with. Its values are the returns of the demonstrations, where their rewards were recorded: an untrained value function
+    makes the first advantages noise, and the policy is led away from what it was taught, however small the steps.
+    In every process the result is the same.
 
     Args:
         trainer: Has not been prepared yet.
+        fit_values: Whether values are learned.
 
     Raises:
         FileNotFoundError: If there are no such demonstrations.
@@ -33,7 +38,8 @@ def start_from_demonstrations(trainer: Trainer) -> None:
     device = next(policy.parameters()).device
     batch_size = min(CloneConfig.batch_size, len(demonstrations.episode))
     clone = CloneConfig(seed=config.seed, epochs=EPOCHS, batch_size=batch_size, torch_threads=config.torch_threads)
-    result = train_policy(policy.to("cpu"), demonstrations, clone)
+    values = _adopt_returns(trainer, demonstrations) if fit_values and demonstrations.rewards is not None else None
+    result = train_policy(policy.to("cpu"), demonstrations, clone, values)
     policy.to(device)
     trainer.keep_scales()
     if trainer.workers.is_first:
@@ -41,6 +47,13 @@ def start_from_demonstrations(trainer: Trainer) -> None:
             f"cloned {demonstrations.num_episodes} episodes of {config.demonstrations} in {result['cpu_seconds']:.0f} s: error "
             f"{result['validation_error']:.0%} of the actions' size on episodes that were held out"
         )
+
+
+def _adopt_returns(trainer: Trainer, demonstrations: Demonstrations) -> torch.Tensor:
+    """Scale values by the returns of the demonstrations; return what the value network is to give, (M,)."""
+    returns, scale = demonstrations.returns(trainer.config.gamma), trainer.state.value_scale
+    scale.update(returns)
+    return scale.normalize(returns)
 
 
 def _read(path: Path, env: DeformableEnv) -> Demonstrations:

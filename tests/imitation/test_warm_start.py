@@ -79,6 +79,22 @@ def test_demonstrations_of_something_else_are_refused(env_id, env_kwargs, messag
     assert not (tmp_path / "runs/wrong/config.json").exists()
 
 
+def test_values_are_the_returns_of_the_demonstrations(rope_file, tmp_path, monkeypatch):
+    """With a learning rate of nothing the trained values stay near the returns to go, with and without an episode's end."""
+    shown = demonstrations_module.Demonstrations(
+        graph={}, actions=torch.zeros(3, 1, 3), episode=torch.tensor([0, 0, 1]), rewards=torch.tensor([1.0, 2.0, 3.0])
+    )
+    assert shown.returns(0.5).tolist() == [1.0 + 0.5 * 4.0, 4.0, 6.0]  # 2 + 2/2 + 2/4 + ... = 4
+    assert shown.returns(1.0).tolist() == [3.0, 2.0, 3.0]
+    monkeypatch.chdir(tmp_path)
+    still = ["--learning_rate", "1e-12", "--normalizer_freeze_steps", "0", "--exp_name", "warm", "--gamma", "0.9"]
+    assert train.main(words("RopeShaping-v1", ROPE, rope_file, *still)) == 0
+    policy, _ = load_policy("runs/warm/final_ckpt.pt")
+    recorded = demonstrations_module.load_demonstrations(rope_file, policy.schema)
+    correlation = torch.corrcoef(torch.stack([policy.value(recorded.graph).detach(), recorded.returns(0.9)]))[0, 1]
+    assert correlation > 0.3  # after a dozen gradient steps
+
+
 def test_the_log_begins_with_what_was_cloned(rope_file, tmp_path, monkeypatch):
     """The first evaluation is at step 0 and is of the policy before any update; one that was not taught has none there."""
     monkeypatch.chdir(tmp_path)
