@@ -1,6 +1,7 @@
 """Run a study: one command for each claim of the paper.
 
 maniskill-grpd study --study main --budget 1_000_000 --seeds 3
+maniskill-grpd study --study main --quick            # a smoke test of every arm, in minutes
 maniskill-grpd study --study main --dry_run          # what would be run, and about how long
 maniskill-grpd study --study all --report --output docs/results
 

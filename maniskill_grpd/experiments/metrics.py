@@ -27,6 +27,9 @@ METRICS = {
     "success_once": Metric("success once", "share of test episodes that are in success at some step"),
     "return": Metric("return", "mean undiscounted return of test episodes; at most 100", 1),
     "training_return": Metric("return over training", "mean over training of the return in evaluations: sample efficiency", 1),
+    "kl_acting": Metric("KL of an update", "mean over training of the average KL(new || old) of the policy that acts [nats]", 3),
+    "action_norm": Metric("action norm", "mean length of actions in the last tenth of training; motions end at 1", 2),
+    "action_norm_growth": Metric("growth of the action norm", "that of the last tenth of training over that of the first", 2),
     "iteration_seconds": Metric("seconds per iteration", "median time of rollout and update", 2, True),
     "update_seconds": Metric("seconds per update", "median time of the update alone", 2, True),
 }

@@ -49,7 +49,7 @@ def write_study_page(study: Study, folder: Path, budget: int | None = None, pres
         The page, {study}.md; pictures lie beside it as {study}_{kind}.png.
     """
     data = StudyData(study, load_results(folder / DATA_FOLDER), budget, present)
-    parts = [f"# {study.title}", study.question, _provenance(data), *_cautions(data)]
+    parts = [f"# {study.title}", study.question, *_arms(study), _provenance(data), *_cautions(data)]
     if study.claims:
         parts += ["## Claims", claim_table(data.findings()), READING]
     for metric in study.metrics:
@@ -87,6 +87,12 @@ def write_summary_page(folder: Path, budget: int | None = None, present: Present
         *claims,
     ]
     return _write(folder, "README", parts)
+
+
+def _arms(study: Study) -> list[str]:
+    """Say in what each arm differs from its partner."""
+    arms = [f"- `{arm.name}` differs from `{arm.partner}`: {arm.difference}." for arm in study.arms if arm.partner]
+    return ["\n".join(arms)] if arms else []
 
 
 def _provenance(data: StudyData) -> str:

@@ -55,12 +55,22 @@ def plot_bars(data: StudyData) -> Figure | None:
 
 def plot_curves(data: StudyData) -> Figure | None:
     """Draw the evaluations during training: a panel for each task, success above, return below."""
+    return _draw_curves(data, ("success_at_end", "return"))
+
+
+def plot_action_norms(data: StudyData) -> Figure | None:
+    """Draw the length of actions during training: a panel for each task."""
+    return _draw_curves(data, ("action_norm",))
+
+
+def _draw_curves(data: StudyData, metrics: Sequence[str]) -> Figure | None:
+    """Draw metrics over training: a row of panels for each, a column for each task that has them."""
     study = data.study
-    tasks = [task for task in study.tasks if any(data.curves(task, arm, "return") for arm in study.arms)]
+    tasks = [task for task in study.tasks if any(data.curves(task, arm, metrics[-1]) for arm in study.arms)]
     if not tasks:
         return None
-    figure, axes = _panels(2 * len(tasks), columns=len(tasks))
-    for row, metric in enumerate(("success_at_end", "return")):
+    figure, axes = _panels(len(metrics) * len(tasks), columns=len(tasks))
+    for row, metric in enumerate(metrics):
         for axis, task in zip(axes[row * len(tasks) :], tasks, strict=False):
             for index, arm in enumerate(study.arms):
                 _draw_band(axis, data, task, arm, metric, COLORS[index])
@@ -134,6 +144,7 @@ def plot_heat_map(data: StudyData) -> Figure | None:
 PLOTS: dict[str, Callable[[StudyData], Figure | None]] = {
     "bars": plot_bars,
     "curves": plot_curves,
+    "action_norms": plot_action_norms,
     "profile": plot_profile,
     "lines": plot_lines,
     "heat_map": plot_heat_map,

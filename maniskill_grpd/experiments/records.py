@@ -69,6 +69,7 @@ def training_metrics(rows: Iterable[Row]) -> Row:
         `kl_acting`: mean over iterations of the average KL(new || old) of the policy that acts next [nats].
         `kl_projected`: the same of the policy whose surrogate is maximised in the last epoch, which is the projection of the
         policy or, without projection, the policy itself.
+        `action_norm`: mean length of actions over the last tenth of the iterations; `action_norm_growth`: over that of the first.
         Those whose data are not there are left out.
     """
     rows = list(rows)
@@ -82,6 +83,7 @@ def training_metrics(rows: Iterable[Row]) -> Row:
         metrics["iteration_seconds"] = statistics.median(u + r for u, r in zip(updates, rollouts, strict=True))
         metrics["update_seconds"] = statistics.median(updates)
         metrics["rollout_seconds"] = statistics.median(rollouts)
+    metrics |= _action_norms([row["charts/action_norm"] for row in train if "charts/action_norm" in row])
     divergences = {
         "kl_acting": [row.get("losses/kl_acting") for row in train],
         "kl_projected": [row.get("losses/kl_projected", row.get("losses/kl_raw")) for row in train],
@@ -89,11 +91,20 @@ def training_metrics(rows: Iterable[Row]) -> Row:
     return metrics | {name: statistics.fmean(found) for name, found in divergences.items() if found and None not in found}
 
 
+def _action_norms(norms: list[float]) -> Row:
+    if not norms:
+        return {}
+    tenth = max(1, len(norms) // 10)
+    first, last = statistics.fmean(norms[:tenth]), statistics.fmean(norms[-tenth:])
+    return {"action_norm": last, **({"action_norm_growth": last / first} if first > 0.0 else {})}
+
+
 def curve_rows(name: str, run_dir: Path) -> Iterator[Row]:
-    """Yield a row for each evaluation during the training of a run."""
+    """Yield a row for each evaluation during the training of a run, with the norm of the actions of its iteration."""
+    norms = {row["global_step"]: row.get("charts/action_norm", "") for row in read_rows(run_dir / "metrics.jsonl", "train")}
     for row in read_rows(run_dir / "metrics.jsonl", "eval"):
         scores = {metric: row[f"eval/{metric}"] for metric in CURVE_METRICS if f"eval/{metric}" in row}
-        yield {"run": name, "step": row["global_step"], **scores}
+        yield {"run": name, "step": row["global_step"], "action_norm": norms.get(row["global_step"], ""), **scores}
 
 
 def test_rows(name: str, run_dir: Path) -> Iterator[Row]:

@@ -19,6 +19,13 @@ from maniskill_grpd.experiments.study_jobs import STUDY_RUNS, plan_study
 from maniskill_grpd.learning.options import parse_options, require_positive
 
 DEFAULT_BUDGET = 1_000_000
+RESULTS = STUDY_RUNS / "results"
+"""Folder of pages and CSV files, unless another is given."""
+SMOKE_RESULTS = STUDY_RUNS / "smoke"
+"""The same for smoke tests, which have no results."""
+SMOKE_OPTIONS = {"num_envs": 4, "num_steps": 20, "num_minibatches": 2, "update_epochs": 1, "num_eval_envs": 2}
+SMOKE_BUDGET, SMOKE_EPISODES = 160, 4
+"""Steps of each training of a smoke test, two iterations, and episodes of each of its tests."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +37,7 @@ class StudyConfig(LauncherConfig):
     budget: int | None = None
     """environment steps of each training, 1,000,000 by default; with --report those of the runs to show, by default the most"""
     seeds: int = 3
-    """trainings of each policy on each task, with seeds from 1 up"""
+    """trainings of each arm on each task, with seeds from 1 up (of studies that tune from 1001 up)"""
     tasks: tuple[str, ...] = ()
     """only these tasks of the study"""
     own_tasks: tuple[str, ...] = ()
@@ -42,15 +49,25 @@ class StudyConfig(LauncherConfig):
     train_options: tuple[str, ...] = ()
     """options of `train` for all trainings as key=value pairs, such as num_envs=1024 on a GPU; they make runs of their own,
     which --report finds by the same options"""
+    quick: bool = False
+    """smoke test: every arm end to end in minutes, one seed, two iterations; its page says so and lies in a folder of its own"""
     report: bool = False
     """run nothing; write the pages from the CSV files of the results"""
-    output: Path = STUDY_RUNS / "results"
-    """folder of the pages; its folder `data` holds the CSV files"""
+    output: Path | None = None
+    """folder of the pages, by default runs/ablate/results; its folder `data` holds the CSV files"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self, *(("seeds", "num_episodes") if self.budget is None else ("budget", "seeds", "num_episodes")))
         parse_options("train_options", self.train_options)
+        own = [name for name in ("budget", "output", "train_options") if getattr(self, name)]
+        if self.quick and own:
+            raise ValueError(f"--quick has a {' and '.join(own)} of its own; leave out --{' --'.join(own)}")
+
+    @property
+    def folder(self) -> Path:
+        """Where pages and data go."""
+        return self.output or (SMOKE_RESULTS if self.quick else RESULTS)
 
     @property
     def studies(self) -> list[Study]:
@@ -60,8 +77,21 @@ class StudyConfig(LauncherConfig):
             ValueError: If there is no such study, listing those there are.
         """
         studies = STUDIES.values() if self.study == ALL and self.report else [find_study(self.study)]
+        if self.quick:
+            return [as_smoke_test(study) for study in studies]
         given = parse_options("train_options", self.train_options)
         return [dataclasses.replace(study, train_options={**study.train_options, **given}) for study in studies]
+
+
+def as_smoke_test(study: Study) -> Study:
+    """Return a study that shows no more than that every arm runs to the end."""
+    question = (
+        f"**Smoke test, no result**: every arm was trained for {SMOKE_BUDGET} steps and tested in {SMOKE_EPISODES} episodes, to "
+        f"see that it runs. Its figures mean nothing. {study.question}"
+    )
+    return dataclasses.replace(
+        study, title=f"{study.title} (smoke test)", question=question, budget=SMOKE_BUDGET, train_options=SMOKE_OPTIONS
+    )
 
 
 def run_study(config: StudyConfig, present: Present | None = None) -> list[Job]:
@@ -83,15 +113,16 @@ def run_study(config: StudyConfig, present: Present | None = None) -> list[Job]:
     if not config.report:
         (study,) = studies
         study = study.restricted(config.tasks, config.arms)
-        jobs = plan_study(study, config.budget or DEFAULT_BUDGET, range(1, config.seeds + 1), config.num_episodes)
+        num_seeds, num_episodes = (1, SMOKE_EPISODES) if config.quick else (config.seeds, config.num_episodes)
+        jobs = plan_study(study, config.budget or DEFAULT_BUDGET, study.seeds(num_seeds), num_episodes)
         if config.dry_run:
             list_jobs(jobs, config)
             return []
-        load_results(config.output / DATA_FOLDER)  # damaged files are refused before hours of work, not after
+        load_results(config.folder / DATA_FOLDER)  # damaged files are refused before hours of work, not after
         try:
             failed = run_jobs(jobs, config, STUDY_RUNS)
         finally:
-            save_jobs(jobs, config.output / DATA_FOLDER)
+            save_jobs(jobs, config.folder / DATA_FOLDER)
     write_pages(config, studies, present)
     return failed
 
@@ -103,7 +134,8 @@ def save_jobs(jobs: Sequence[Job], folder: Path) -> None:
 
 
 def write_pages(config: StudyConfig, studies: Sequence[Study], present: Present | None) -> None:
-    """Write the pages of studies and the summary."""
+    """Write the pages of studies and, of results, the summary."""
     for study in studies:
-        print(f"page: {write_study_page(study, config.output, config.budget, present)}")
-    print(f"page: {write_summary_page(config.output, present=present)}")
+        print(f"page: {write_study_page(study, config.folder, config.budget, present)}")
+    if not config.quick:
+        print(f"page: {write_summary_page(config.folder, present=present)}")

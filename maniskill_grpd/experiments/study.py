@@ -111,6 +111,8 @@ class Arm:
         policy_options: Its options.
         algorithm: "bpp" or "ppo".
         train_options: Further fields of `TrainConfig`.
+        partner: Name of the arm that it differs from in one thing; None for a reference.
+        difference: That one thing, in words.
     """
 
     name: str
@@ -118,6 +120,8 @@ class Arm:
     policy_options: Options = field(default_factory=dict, hash=False)
     algorithm: str = "bpp"
     train_options: Options = field(default_factory=dict, hash=False)
+    partner: str | None = None
+    difference: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +181,9 @@ def expert_run(task: Task) -> Run:
     return Run(task=task, arm=EXPERT, seed=0, budget=0)
 
 
-Plot = Literal["curves", "bars", "profile", "heat_map", "lines"]
+Plot = Literal["curves", "bars", "profile", "heat_map", "lines", "action_norms"]
+PILOT_SEED = 1001
+"""First seed of trainings that choose settings."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,6 +203,7 @@ class Study:
         trained_by: Name of the study whose checkpoints are tested; None: trains its own.
         budget: Environment steps of each training, where the study fixes them.
         train_options: Fields of `TrainConfig` for all arms.
+        first_seed: Of its trainings; from `PILOT_SEED` up for what chooses settings.
     """
 
     name: str
@@ -211,6 +218,15 @@ class Study:
     trained_by: str | None = None
     budget: int | None = None
     train_options: Options = field(default_factory=dict, hash=False)
+    first_seed: int = 1
+
+    def seeds(self, num: int) -> range:
+        """Return the seeds of its trainings, `num` of each arm on each task."""
+        return range(self.first_seed, self.first_seed + num)
+
+    def shows(self, seed: int) -> bool:
+        """Return whether a run of a seed is one of its own: pilots choose settings, and are no results."""
+        return (seed >= PILOT_SEED) == (self.first_seed >= PILOT_SEED)
 
     def runs(self, budget: int, seeds: Iterable[int]) -> Iterator[Run]:
         """Yield the trainings it needs, all arms of a task and seed side by side.

@@ -46,7 +46,8 @@ class StudyData:
         self.study = study
         self.results = results
         budgets = [study.budget or budget] if study.budget or budget else _distinct(results, "budget")[::-1]
-        found = {task.name: self._find_runs(task, budgets, _distinct(results, "seed")) for task in study.tasks}
+        seeds = [seed for seed in _distinct(results, "seed") if study.shows(seed)]
+        found = {task.name: self._find_runs(task, budgets, seeds) for task in study.tasks}
         self._usable = choose(results, found, present)
         self.results = self._usable.results
         self._runs = {name: [run for run in runs if run.name in self.results.runs] for name, runs in found.items()}

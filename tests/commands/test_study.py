@@ -97,8 +97,8 @@ def test_a_study_that_is_killed_goes_on_and_tables_and_pictures_come_out(folder,
     # What is finished is not run again, neither by this study nor by one that shares its runs.
     monkeypatch.setattr(launchers, "run_job", lambda job, *_: pytest.fail(f"{job.name} was run again"))
     assert main(["study", *command]) == 0
-    assert main(["study", *command[:1], "heterogeneity", *command[2:]]) == 0
-    assert "page: runs/ablate/results/heterogeneity.md" in capsys.readouterr().out
+    assert main(["study", *command[:1], "decoder", *command[2:]]) == 0
+    assert "page: runs/ablate/results/decoder.md" in capsys.readouterr().out
 
 
 def test_a_failed_run_is_marked_with_its_log_and_the_others_go_on(toy, capsys):

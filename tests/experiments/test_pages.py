@@ -141,12 +141,12 @@ def test_notes_are_added_at_the_end(tmp_path):
 
 def test_the_summary_takes_the_largest_budget_of_each_task_in_every_study(tmp_path):
     """A study that shares a task with one of a larger budget still shows its other tasks."""
-    shared, other = STUDIES["bpp_vs_ppo"].tasks[-1], STUDIES["bpp_vs_ppo"].tasks[0]
-    first, second = STUDIES["main"].arms[0], STUDIES["bpp_vs_ppo"].arms[1]
+    shared, other = STUDIES["decoder"].tasks[-1], STUDIES["decoder"].tasks[0]
+    first, second = STUDIES["main"].arms[0], STUDIES["decoder"].arms[1]
     scores = {run_of(shared, first, budget=2000): {"as trained": 1.0}, run_of(other, second): {"as trained": 1.0}}
     write_results(tmp_path / "data", results_of(scores))
     rows = rows_of(write_summary_page(tmp_path).read_text())
-    row = next(row for row in rows if row[0] == "[bpp_vs_ppo](bpp_vs_ppo.md)")
+    row = next(row for row in rows if row[0] == "[decoder](decoder.md)")
     assert row[2:4] == ["1,000, 2,000", "2"]
 
 

@@ -10,16 +10,18 @@ from maniskill_grpd.experiments import STUDIES, Arm, Condition, Run, Task, find_
 from maniskill_grpd.experiments.metrics import METRICS
 from maniskill_grpd.experiments.plots import PLOTS
 from maniskill_grpd.experiments.studies import register_task
-from maniskill_grpd.experiments.study import combine, to_pairs, with_noise, with_option
+from maniskill_grpd.experiments.studies.tuning import SIZES
+from maniskill_grpd.experiments.study import PILOT_SEED, combine, to_pairs, with_noise, with_option
 from maniskill_grpd.learning import TrainConfig
-from maniskill_grpd.policies import make_policy
+from maniskill_grpd.policies import POLICIES, make_policy
 
 ALL = pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
 
 
 def test_every_claim_of_the_design_has_a_study():
-    training = {"main", "equivariance", "heterogeneity", "bpp_vs_ppo", "unseen_shapes", "pose_range", "trust_region", "decoder"}
-    assert set(STUDIES) == training | {"noise", "resolution", "grippers", "cost"}
+    ablations = {"equivariance", "unseen_poses", "heterogeneity", "features", "decoder", "architecture"}
+    training = {"main", "bpp_vs_ppo", "unseen_shapes", "pose_range", "bar", "hepi", *ablations}
+    assert set(STUDIES) == training | {"noise", "resolution", "grippers", "cost"} | {f"tuning_{name}" for name in POLICIES}
 
 
 def test_a_registered_task_joins_the_studies_of_all_tasks_once(monkeypatch):
@@ -30,7 +32,7 @@ def test_a_registered_task_joins_the_studies_of_all_tasks_once(monkeypatch):
         register_task("own:Knots-v1", {"resolution": 21})
         register_task("RopeShaping-v1", {"resolution": 100})
     joined = {name for name, study in STUDIES.items() if study != before[name]}
-    assert joined == {"main", "heterogeneity"}
+    assert joined == {"main"}
     for name in joined:
         assert find_study(name).tasks == (*before[name].tasks, Task(env_id="own:Knots-v1", options={"resolution": 21}))
 
@@ -96,9 +98,82 @@ def test_studies_share_runs():
     def names(study):
         return {run.name for run in STUDIES[study].runs(1000, (1,))}
 
-    assert names("heterogeneity") < names("main")
-    assert names("bpp_vs_ppo") & names("main")
-    assert names("pose_range") & names("main")
+    for study in ("heterogeneity", "equivariance", "pose_range", "decoder", "architecture", "hepi"):
+        assert names(study) & names("main")
+    assert names("unseen_poses") & names("pose_range")
+
+
+def changed_options(arm, partner):
+    """Return the names of all options in which the trainings of two arms differ."""
+    task = Task(env_id="RopeShaping-v1")
+    configs = [Run(task=task, arm=side, seed=1, budget=1_000_000).train_config().to_dict() for side in (arm, partner)]
+    configs = [{**config, "policy_kwargs": None, "exp_name": None} for config in configs]
+    found = {name for name in configs[0] if configs[0][name] != configs[1][name]}
+    options = [side.policy_options for side in (arm, partner)]
+    return found | {name for name in {*options[0], *options[1]} if options[0].get(name) != options[1].get(name)}
+
+
+DIFFERENCES = {
+    "empn": {"policy"},
+    "hetero_gnn": {"policy"},
+    "transformer": {"policy"},
+    "hepi": {"policy"},
+    "grpd_raw": {"coordinates"},
+    "grpd_shared": {"weights"},
+    "grpd_blind": {"object_messages"},
+    "grpd_raw_turned": {"rotation_augmentation"},
+    "hetero_gnn_turned": {"rotation_augmentation"},
+    "bpp_lagrangian": {"trust_region"},
+    "bpp_fisher": {"trust_region"},
+    "ppo": {"algorithm"},
+    "ppo_matched": {"clip_kl"},
+    "naive": {"decoder"},
+    "independent": {"decoders"},
+    "unbounded": {"magnitude"},
+    "small_steps": {"mean_bound", "cov_bound"},
+    "large_steps": {"mean_bound", "cov_bound"},
+}
+"""The one thing in which an arm differs from its partner."""
+
+
+@ALL
+def test_each_arm_differs_from_its_partner_in_one_thing(study):
+    arms = {arm.name: arm for arm in study.arms}
+    references = [arm for arm in study.arms if arm.partner is None]
+    assert references == [study.arms[0]]
+    for arm in study.arms[1:]:
+        partner = arms[arm.partner] if arm.partner in arms else augmented_or_plain(arm.partner)
+        changed = changed_options(arm, partner)
+        assert arm.difference
+        if study.name == "architecture":
+            assert changed == {arm.name.partition("=")[0]}
+        elif study.name.startswith("tuning") and arm.name in ("wide", "deep"):
+            assert changed == set(arm.policy_options)
+            assert (changed == {"num_layers"}) == (arm.name == "deep")
+        else:
+            assert changed == DIFFERENCES.get(arm.name, {"learning_rate"})
+
+
+def augmented_or_plain(name):
+    """Return an arm that a study does not have itself."""
+    return next(arm for study in STUDIES.values() for arm in study.arms if arm.name == name)
+
+
+def test_networks_that_are_tuned_are_larger_than_the_defaults():
+    for policy, sizes in SIZES.items():
+        counts = {
+            name: sum(p.numel() for p in make_policy(policy, SCHEMA, **options).parameters())
+            for name, options in {"default": {}, **sizes}.items()
+        }
+        assert 1.5 < counts["wide"] / counts["default"] < 4.5, policy
+        assert 1.0 < counts["deep"] / counts["default"] < 2.0, policy
+
+
+def test_seeds_of_pilots_are_no_results():
+    pilot, main = STUDIES["tuning_grpd"], STUDIES["main"]
+    assert list(pilot.seeds(2)) == [PILOT_SEED, PILOT_SEED + 1]
+    assert list(main.seeds(2)) == [1, 2]
+    assert [study.shows(seed) for study in (pilot, main) for seed in (1, PILOT_SEED)] == [False, True, True, False]
 
 
 def test_a_run_is_named_by_all_that_determines_it():

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 
-from maniskill_grpd.experiments.studies.cost import COST
-from maniskill_grpd.experiments.studies.generalization import GRIPPERS, NOISE, RESOLUTION, UNSEEN_SHAPES
-from maniskill_grpd.experiments.studies.learning import (
-    BPP_VS_PPO,
+from maniskill_grpd.experiments.studies.ablations import (
+    ARCHITECTURE,
     DECODER,
     EQUIVARIANCE,
+    FEATURES,
     HETEROGENEITY,
-    MAIN,
-    POSE_RANGE,
-    TRUST_REGION,
+    UNSEEN_POSES,
 )
+from maniskill_grpd.experiments.studies.cost import COST
+from maniskill_grpd.experiments.studies.generalization import GRIPPERS, NOISE, RESOLUTION, UNSEEN_SHAPES
+from maniskill_grpd.experiments.studies.learning import BAR, MAIN, NEIGHBOUR, POSE_RANGE
+from maniskill_grpd.experiments.studies.optimisation import BPP_VS_PPO
 from maniskill_grpd.experiments.studies.parts import ALL_TASKS
+from maniskill_grpd.experiments.studies.tuning import TUNING
 from maniskill_grpd.experiments.study import Options, Study, Task
 
 STUDIES: dict[str, Study] = {
@@ -23,6 +25,7 @@ STUDIES: dict[str, Study] = {
     for study in (
         MAIN,
         EQUIVARIANCE,
+        UNSEEN_POSES,
         HETEROGENEITY,
         BPP_VS_PPO,
         NOISE,
@@ -30,9 +33,13 @@ STUDIES: dict[str, Study] = {
         UNSEEN_SHAPES,
         GRIPPERS,
         POSE_RANGE,
+        BAR,
         COST,
-        TRUST_REGION,
+        NEIGHBOUR,
+        FEATURES,
         DECODER,
+        ARCHITECTURE,
+        *TUNING,
     )
 }
 """All studies by name, in the order in which a reader meets them."""

@@ -6,9 +6,10 @@ studies share, such as GRPD under BPP, are run once.
 
 from __future__ import annotations
 
+import dataclasses
+
 from maniskill_grpd.experiments.claim import Claim, Side
 from maniskill_grpd.experiments.study import Arm, Condition, Task, with_option
-from maniskill_grpd.policies import POLICIES
 
 ROPE_SHAPING = Task(env_id="RopeShaping-v1", options={"resolution": 41, "graph_nodes": 21})
 ROPE_WRAPPING = Task(env_id="RopeWrapping-v1", options={"resolution": 41, "graph_nodes": 21})
@@ -18,15 +19,38 @@ CLOTH_FOLDING = Task(
 CLOTH_HANGING = Task(env_id="ClothHanging-v1", options={"resolution": 64, "graph_nodes": 25})
 ALL_TASKS = (ROPE_SHAPING, ROPE_WRAPPING, CLOTH_FOLDING, CLOTH_HANGING)
 
-ARMS = {name: Arm(name=name, policy=name) for name in POLICIES}
-"""An arm for every policy there is, GRPD first."""
-GRPD = ARMS["grpd"]
-EMPN = ARMS["empn"]
-HETERO_GNN = ARMS["hetero_gnn"]
-TRANSFORMER = ARMS["transformer"]
+
+def _baseline(name: str, difference: str) -> Arm:
+    return Arm(name=name, policy=name, partner="grpd", difference=difference)
+
+
+def _ablation(name: str, difference: str, **options: object) -> Arm:
+    return Arm(name=name, policy_options=options, partner="grpd", difference=difference)
+
+
+GRPD = Arm(name="grpd")
+EMPN = _baseline("empn", "an equivariant network on a homogeneous graph, deeper and of shorter reach")
+HETERO_GNN = _baseline("hetero_gnn", "an MLP of raw coordinates for each edge")
+TRANSFORMER = _baseline("transformer", "attention between all nodes, raw coordinates")
+HEPI = _baseline("hepi", "features on a grid of 16 directions, written from its paper")
 BASELINES = (EMPN, HETERO_GNN, TRANSFORMER)
 """Those that the paper compares GRPD with: its claims speak of them."""
 ALL_POLICIES = (GRPD, *BASELINES)
+
+GRPD_RAW = _ablation("grpd_raw", "the first layer of each node sees raw coordinates", coordinates="raw")
+GRPD_SHARED = _ablation("grpd_shared", "one set of weights for all types of nodes and edges", weights="shared")
+GRPD_BLIND = _ablation("grpd_blind", "no messages from objects to actuators (eq. 40)", object_messages=False)
+
+
+def augmented(arm: Arm) -> Arm:
+    """The arm trained on batches that are turned about the vertical."""
+    return dataclasses.replace(
+        arm,
+        name=f"{arm.name}_turned",
+        train_options={**arm.train_options, "rotation_augmentation": "vertical"},
+        partner=arm.name,
+        difference="batches are turned about the vertical",
+    )
 
 
 def at_resolution(num_nodes: int) -> Condition:
@@ -47,8 +71,9 @@ def is_better(
     paper: str = "-",
     conditions: tuple[str, ...] = (),
     measure: str = "gain",
+    ours: Arm = GRPD,
 ) -> Claim:
-    """GRPD scores more than another arm."""
+    """One arm, by default GRPD, scores more than another."""
     name = None if task is None else task.name
     return Claim(
         text=text,
@@ -57,7 +82,7 @@ def is_better(
         measure=measure,
         metric=metric,
         at_least=0.0,
-        ours=Side(GRPD.name, name, conditions),
+        ours=Side(ours.name, name, conditions),
         theirs=Side(than.name, name, conditions),
     )
 
