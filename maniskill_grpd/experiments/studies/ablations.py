@@ -38,7 +38,7 @@ EQUIVARIANCE = Study(
         ),
         is_better("Without equivariance performance degrades", "B.B.b", GRPD_RAW, CLOTH_HANGING, paper="over 20 %"),
         *(
-            is_better("Equivariance brings more than turned batches", "A.A.4", augmented(arm), task)
+            is_better("Equivariance brings more than turned batches", "A.A", augmented(arm), task)
             for arm in (GRPD_RAW, HETERO_GNN)
             for task in (CLOTH_FOLDING, CLOTH_HANGING)
         ),
