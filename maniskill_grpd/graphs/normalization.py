@@ -103,4 +103,6 @@ class GraphNormalizer(nn.Module):
                 "vectors": vectors.masked_fill(~mask[..., None], 0.0),
                 "scalars": scalars.masked_fill(~mask, 0.0),
             }
+        if "critic" in graph:
+            scaled["critic"] = self(graph["critic"])
         return scaled

@@ -112,6 +112,7 @@ class GraphSchema:
         graph["actuator"]  position (B, A, 3) [m], vectors (B, A, V, 3), scalars (B, A, S),
                            mask (B, A) bool
         graph["gravity"]   (B, 3) [m/s^2]
+        graph["critic"]    in training only, where the value function sees more: another such graph, perhaps of more nodes
 
     Actuator-actuator and object-actuator edges are complete and implicit (eq. 36-41).
 
@@ -160,6 +161,8 @@ class GraphSchema:
         _validate_neighbors(graph["object"])
         if values:
             _validate_values(graph)
+        if "critic" in graph:
+            self.validate(graph["critic"], values=values)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain python types, fit for a checkpoint or JSON."""

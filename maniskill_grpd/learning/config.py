@@ -117,6 +117,9 @@ class TrainConfig(*(algorithm.Options for algorithm in ALGORITHMS.values())):
     velocity_noise: float = 0.0
     """standard deviation of noise on observed velocities during training, per axis [m/s]"""
 
+    critic_observations: Literal["same", "full"] = "same"
+    """full: where cameras or keypoints hide nodes from the policy, the value function sees all of them, in training only"""
+
     policy: str = "grpd"
     """name of the policy"""
     policy_kwargs: tuple[str, ...] = ()

@@ -176,7 +176,7 @@ def _make_sample_env(task: TrainConfig, num_envs: int, *, needs_graph: bool) -> 
     """Make the environment of the plans, which observes only what somebody looks at; what was seen may be part of the state."""
     options = task.env_options
     find_task(task.env_id)
-    options["obs_mode"] = "graph" if needs_graph or "visibility" in options else "none"
+    options["obs_mode"] = "graph" if needs_graph or {"visibility", "keypoints"} & set(options) else "none"
     return gym.make(task.env_id, num_envs=num_envs, sim_backend=task.sim_backend, **options)
 
 

@@ -11,6 +11,7 @@ import torch
 from torch import nn
 
 from maniskill_grpd.graphs import GraphSchema
+from maniskill_grpd.graphs.schema import NODE_TYPES
 from maniskill_grpd.policies.distribution import ActionDistribution
 from maniskill_grpd.policies.layers import (
     DeepSetsValue,
@@ -114,17 +115,18 @@ class EncodedPolicy(Policy):
         self, graph: Mapping[str, Any], *, actor: bool, critic: bool
     ) -> tuple[ActionDistribution | None, torch.Tensor | None]:
         """See `Policy.evaluate`."""
-        mask = graph["actuator"]["mask"]
+        seen_by_critic = graph.get("critic", graph)
+        shares_nodes = self.value_encoder is None and seen_by_critic is graph
         distribution = value = nodes = None
-        if actor or self.value_encoder is None:
+        if actor or shares_nodes:
             nodes = self.encoder(graph)
         if actor:
-            distribution = self._decode(nodes[1], mask)
+            distribution = self._decode(nodes[1], graph["actuator"]["mask"])
         if critic:
-            if self.value_encoder is not None:
-                nodes = self.value_encoder(graph)
-            masks = (graph["object"]["mask"], mask)
-            value = self.critic([(*node, m) for node, m in zip(nodes, masks, strict=True)])
+            if not shares_nodes:
+                nodes = (self.value_encoder or self.encoder)(seen_by_critic)
+            masks = (seen_by_critic[kind]["mask"] for kind in NODE_TYPES)
+            value = self.critic([(*node, mask) for node, mask in zip(nodes, masks, strict=True)])
         return distribution, value
 
     def rescale_value(self, factor: float, shift: float) -> None:

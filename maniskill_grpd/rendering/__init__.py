@@ -8,7 +8,18 @@ ManiSkill.
 from maniskill_grpd.rendering.cameras import Lens, extrinsic_from_pose, intrinsic_from_fov, look_at
 from maniskill_grpd.rendering.labels import Label
 from maniskill_grpd.rendering.rasterizer import Rasterizer
+from maniskill_grpd.rendering.sensor_noise import DepthSensor
 from maniskill_grpd.rendering.solver_scene import SolverScene
 from maniskill_grpd.rendering.triangle_scene import TriangleScene
 
-__all__ = ["Label", "Lens", "Rasterizer", "SolverScene", "TriangleScene", "extrinsic_from_pose", "intrinsic_from_fov", "look_at"]
+__all__ = [
+    "DepthSensor",
+    "Label",
+    "Lens",
+    "Rasterizer",
+    "SolverScene",
+    "TriangleScene",
+    "extrinsic_from_pose",
+    "intrinsic_from_fov",
+    "look_at",
+]

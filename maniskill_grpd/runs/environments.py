@@ -45,15 +45,16 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
     return FlattenActionSpaceWrapper(env) if isinstance(env.action_space, gym.spaces.Dict) else env
 
 
-def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool) -> ManiSkillVectorEnv:
+def make_vector_env(config: TrainConfig, num_envs: int, *, partial_reset: bool, **options: Any) -> ManiSkillVectorEnv:
     """Make the task of a run as a vector environment that resets itself.
 
     Args:
         config: Names the task, its options and the simulation backend.
         num_envs: Number of environments.
         partial_reset: Whether an episode ends when its environment terminates.
+        **options: Further options of the task, which replace those of the config.
     """
-    env = make_env(config, num_envs)
+    env = make_env(config, num_envs, **options)
     return ManiSkillVectorEnv(env, num_envs, ignore_terminations=not partial_reset, record_metrics=True)
 
 
@@ -111,9 +112,9 @@ def import_tasks(module: str) -> None:
 def known_options(task: type[DeformableEnv]) -> set[str]:
     """Return the names of the options of a task: those of its class and of the classes it hands the others on to."""
     names = {"max_episode_steps"}
-    for base in task.__mro__:
+    for base in (cls for cls in task.__mro__ if "__init__" in vars(cls)):
         parameters = inspect.signature(base.__init__).parameters.values()
         names |= {parameter.name for parameter in parameters if parameter.kind in NAMED}
-        if base is not object and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
+        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
             break
     return names - {"self", "num_envs", "sim_backend"}

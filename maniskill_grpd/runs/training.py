@@ -95,7 +95,8 @@ def make_trainer(
     """Make environments, an untrained policy and the trainer."""
     workers = workers or Workers()
     local = workers.share("num_envs", config.num_envs)
-    envs = make_vector_env(config, local, partial_reset=config.partial_reset)
+    for_critic = {} if config.critic_observations == "same" else {"critic_observations": config.critic_observations}
+    envs = make_vector_env(config, local, partial_reset=config.partial_reset, **for_critic)
     eval_envs = None
     if config.eval_freq and workers.is_first:
         eval_envs = make_vector_env(config, config.num_eval_envs, partial_reset=False)

@@ -22,7 +22,6 @@ from maniskill_grpd.tasks.options.material_ranges import MaterialRanges
 from maniskill_grpd.tasks.options.num_envs import check_num_envs
 from maniskill_grpd.tasks.options.observation_mode import needs_camera, split_observation_mode
 from maniskill_grpd.tasks.options.substeps import check_substeps
-from maniskill_grpd.tasks.options.visibility import choose_visibility
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.episode_starts import EpisodeStarts
@@ -86,13 +85,11 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             default. `info["slips"]` counts it.
         substeps: Substeps of the solver in a control step, 1 to 1,000; by default what each variant of
             the object needs.
-        visibility: None (default): the graph shows all nodes; "camera": those that at least one of the task's cameras sees, which
-            `sensor_configs` can move, and those that grippers hold.
-        hidden_nodes: "mask" (default): the others are masked; "stale": they stay as they were last seen, with an age.
         self_collision: Whether the object collides with itself; by default as the task says.
         count_crossings: Whether `info["self_crossings"]` counts where a cloth passes through itself (slow).
         num_threads: CPU threads of the solver, chosen by it by default.
-        settings: Further settings of ManiSkill's `BaseEnv`.
+        settings: What the graph shows, see `ObservedWorlds`, how cameras measure, see `WorldPictures`, and further settings of
+            ManiSkill's `BaseEnv`.
 
     Raises:
         ValueError: If an option has a value that is not allowed; says which are.
@@ -128,8 +125,6 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         graph_nodes: int | None = None,
         graph_features: str = "paper",
         grip_strength: float | None = None,
-        visibility: str | None = None,
-        hidden_nodes: str = "mask",
         substeps: int | None = None,
         self_collision: bool | None = None,
         count_crossings: bool = False,
@@ -148,7 +143,6 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
         self._material = MaterialRanges(material)
         base_mode, self._has_graph = split_observation_mode(obs_mode)
         self._full_obs_mode = obs_mode or "graph"
-        self._visibility = choose_visibility(visibility, hidden_nodes, base_mode if self._has_graph else None, graph_features)
         self.pose_share = POSE_RANGES[pose_range]
         self._num_graph_nodes, self.graph_features = graph_nodes, graph_features
         self._grip_strength = grip_strength
@@ -295,6 +289,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self.allocate_episode()
+        self._set_up_random_observations()
         self._set_up_graph()
         self._set_up_drawing(options)
 
@@ -326,7 +321,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
             (draws,) = self.draw_uniform(worlds, self._material.num_draws)
             solver.set_material(worlds, **self._material.factors(draws))
         solver.reset(worlds, positions, self.start_nodes[worlds])
-        self._forget_what_was_seen(worlds)
+        self._start_observing(worlds)
 
     # ------------------------------------------------------------------ one control step
 

@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("mani_skill")
 
 from maniskill_grpd.commands import main
-from maniskill_grpd.learning import load_checkpoint
+from maniskill_grpd.learning import collector, load_checkpoint
+from maniskill_grpd.learning.rollout import Rollout
 from maniskill_grpd.learning.trainer import Trainer
 from maniskill_grpd.runs.folder import RunInUseError, hold_run
 
@@ -55,6 +56,24 @@ def test_a_run_that_began_with_the_weights_of_another_can_be_resumed(folder):
     assert main([*TINY, "--exp_name", "two", "--checkpoint", "runs/one/final_ckpt.pt"]) == 0
     assert main(["train", "--resume", "runs/two", "--total_timesteps", "24"]) == 0
     assert load_checkpoint(folder / "runs/two/final_ckpt.pt")["global_step"] == 24
+
+
+@pytest.mark.parametrize("hidden", [["keypoints=4"], ["visibility=camera", "hidden_nodes=stale"]])
+def test_a_critic_that_sees_all_is_of_training_alone(hidden, folder, monkeypatch):
+    made = []
+
+    class Recorded(Rollout):
+        def store_graph(self, step, graph):
+            made.append(graph)
+            super().store_graph(step, graph)
+
+    monkeypatch.setattr(collector, "Rollout", Recorded)
+    assert main([*TINY, *hidden, "--critic_observations", "full", "--eval_freq", "1", "--num_eval_envs", "2"]) == 0
+    nodes = made[-1]["critic"]["object"]["mask"]
+    assert nodes.all()
+    assert nodes.shape[1] == 20
+    assert main(["evaluate", "--checkpoint", "runs/one/final_ckpt.pt", "--num_episodes", "2", "--num_envs", "2"]) == 0
+    assert main([*TINY, "--exp_name", "two", "--critic_observations", "full"]) == 1  # nothing is hidden
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -8,7 +8,7 @@ import torch
 from mani_skill.utils.registration import REGISTERED_ENVS
 
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
-from maniskill_grpd.learning.observation_noise import displace
+from maniskill_grpd.graphs.displacement import displace
 from maniskill_grpd.tasks import DeformableEnv
 
 TASKS = [(uid, {}) for uid, spec in REGISTERED_ENVS.items() if issubclass(spec.cls, DeformableEnv)]

@@ -219,3 +219,21 @@ def test_a_point_cloud_becomes_a_graph_of_the_rope(make_env):
     nearest = torch.cdist(solver.positions, graph["object"]["position"]).min(dim=2).values
     assert nearest.max() < 0.06
     assert graph["object"]["mask"].all()
+
+
+def test_a_depth_sensor_errs_in_depths_and_points_alike_and_only_there(make_env):
+    settings = {"obs_mode": "depth+position+rgb+segmentation", "sensor_configs": {"width": 32, "height": 32}}
+    exact, noisy = make_env(2, **settings), make_env(2, depth_sensor={"noise": 0.05, "dropout": 0.2}, **settings)
+    truth, seen = (env.unwrapped.get_obs()["sensor_data"]["base_camera"] for env in (exact, noisy))
+    again = noisy.unwrapped.get_obs()["sensor_data"]["base_camera"]
+    assert all(torch.equal(seen[name], again[name]) for name in seen)
+    assert torch.equal(seen["rgb"], truth["rgb"])
+    assert torch.equal(seen["segmentation"], truth["segmentation"])
+    known = truth["depth"] > 0
+    assert (seen["depth"][known] == 0).float().mean() == pytest.approx(0.2, abs=0.05)
+    assert (seen["depth"] != truth["depth"])[known].float().mean() > 0.9
+    assert (-seen["position"][..., 2:] - seen["depth"]).abs().max() <= 1  # both are rounded
+    later = noisy.step(torch.zeros(2, 12))[0]["sensor_data"]["base_camera"]["depth"]
+    assert ((later == 0) != (seen["depth"] == 0)).any()
+    with pytest.raises(ValueError, match="depth_sensor must be a mapping"):
+        make_env(1, depth_sensor={"blur": 1.0})

@@ -6,6 +6,7 @@ import torch
 from maniskill_grpd.policies import POLICIES, make_policy
 
 ENV_ID = "ClothFolding-v1"
+LOW = {"base_camera": {"width": 64, "height": 64, "pose": [0.0, -0.9, 0.25, 0.7071068, 0.0, 0.0, 0.7071068]}}
 SIDE = {"sensor_configs": {"base_camera": {"width": 64, "height": 64}}}
 
 
@@ -90,7 +91,7 @@ def test_what_was_never_seen_is_masked_until_it_is(make_env):
     env = make_env(2, obs_mode="graph", visibility="camera", hidden_nodes="stale", **SIDE)
     base = env.unwrapped
     lay_folded(env)
-    base._forget_what_was_seen(torch.tensor([0]))
+    base._start_observing(torch.tensor([0]))
     mask = base.get_obs()["graph"]["object"]["mask"]
     assert 0.3 < mask[0].float().mean() < 0.8
     assert mask[1].float().mean() > mask[0].float().mean()
@@ -134,11 +135,11 @@ def test_policies_take_partial_graphs_as_they_are(make_env, name, hidden_nodes):
 
 
 def turned(env, with_camera):
-    """Return the masks before and after all worlds turn by 120 degrees, and the camera with them or not."""
+    """Return the graphs before and after all worlds turn by 120 degrees, and the camera with them or not; and the rotation."""
     base = env.unwrapped
     lay_folded(env)
     base.solver.positions[..., 1] += 0.02 * torch.sin(20.0 * base.solver.positions[..., 0])
-    before = base.get_obs()["graph"]["object"]["mask"]
+    before = base.get_obs()["graph"]
     cosine, sine = -0.5, 0.75**0.5
     rotation = torch.tensor([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     base.move_worlds(rotation, torch.zeros(3))
@@ -146,17 +147,29 @@ def turned(env, with_camera):
         for camera in base._sight._cameras:
             images = camera._rasterizer
             images.extrinsics[..., :3] = images.extrinsics[..., :3] @ rotation.T
-    return before, base.get_obs()["graph"]["object"]["mask"]
+    return before, base.get_obs()["graph"], rotation
 
 
 def test_what_is_seen_moves_with_the_scene_only_if_the_camera_does(make_env):
-    low = {"base_camera": {"width": 64, "height": 64, "pose": [0.0, -0.9, 0.25, 0.7071068, 0.0, 0.0, 0.7071068]}}
-    options = {"obs_mode": "graph", "visibility": "camera", "sensor_configs": low}
-    before, after = turned(make_env(3, **options), with_camera=True)
-    assert 0.05 < before.float().mean() < 0.95
-    assert (before == after).float().mean() > 0.99
-    before, after = turned(make_env(3, **options), with_camera=False)
-    assert (before == after).float().mean() < 0.95
+    for with_camera in (True, False):
+        env = make_env(3, obs_mode="graph", visibility="camera", sensor_configs=LOW)
+        before, after = (graph["object"]["mask"] for graph in turned(env, with_camera=with_camera)[:2])
+        assert 0.05 < before.float().mean() < 0.95
+        agreement = (before == after).float().mean()
+        assert agreement > 0.99 if with_camera else agreement < 0.95
+
+
+@pytest.mark.parametrize("with_camera", [True, False])
+def test_actions_turn_with_the_scene_only_if_the_camera_does(make_env, with_camera):
+    env = make_env(3, obs_mode="graph", visibility="camera", sensor_configs=LOW)
+    before, after, rotation = turned(env, with_camera=with_camera)
+    torch.manual_seed(0)
+    policy = make_policy("grpd", env.unwrapped.graph_schema)
+    policy.normalizer.update(before)
+    with torch.no_grad():
+        action, later = (policy.distribution(graph).mean for graph in (before, after))
+    difference = (later - action @ rotation.T).norm(dim=-1) / action.norm(dim=-1)
+    assert difference.max() < 1e-3 if with_camera else difference.mean() > 0.01
 
 
 @pytest.mark.parametrize(

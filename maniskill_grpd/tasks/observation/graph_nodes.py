@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from maniskill_grpd.physics import Model
@@ -51,6 +53,11 @@ def neighbors_among(model: Model, nodes: np.ndarray) -> np.ndarray:
         lists[j].append(i)
     width = max(1, *(len(entry) for entry in lists))
     return np.array([sorted(entry) + [-1] * (width - len(entry)) for entry in lists], dtype=np.int64)
+
+
+def mean_spacing(models: Sequence[Model], nodes: Sequence[np.ndarray], neighbors: Sequence[np.ndarray]) -> float:
+    """Return the mean of `spacing_among` over variants [m]."""
+    return float(np.mean([spacing_among(*entry) for entry in zip(models, nodes, neighbors, strict=True)]))
 
 
 def spacing_among(model: Model, nodes: np.ndarray, neighbors: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import torch
 from maniskill_grpd.graphs import Channel, GraphSchema, NodeSchema
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.tasks.observation import channels
-from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, neighbors_among, spacing_among
+from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, mean_spacing, neighbors_among
 
 CONTACT_DISTANCE = 1.5
 """Nodes count as touching the table when their centre is closer to it than this many radii."""
@@ -25,6 +25,7 @@ class GraphObservation:
 
     Attributes:
         schema: What the graph holds.
+        nodes: Which nodes of each variant it has.
     """
 
     def __init__(
@@ -49,15 +50,14 @@ class GraphObservation:
         """
         self._solver = solver
         models = solver.models
-        nodes = [choose_graph_nodes(model, num_nodes, keep(model)) for model in models]
+        self.nodes = nodes = [choose_graph_nodes(model, num_nodes, keep(model)) for model in models]
         neighbors = [neighbors_among(model, chosen) for model, chosen in zip(models, nodes, strict=True)]
         self._tabulate(nodes, neighbors)
-        spacings = [spacing_among(*entry) for entry in zip(models, nodes, neighbors, strict=True)]
         self.schema = GraphSchema(
             object=_node_schema(object_channels),
             actuator=_node_schema(gripper_channels),
             length_scale=max(model.length for model in models),
-            edge_length=float(np.mean(spacings)),
+            edge_length=mean_spacing(models, nodes, neighbors),
         )
 
     def build(

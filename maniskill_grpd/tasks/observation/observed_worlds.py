@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
+import numpy as np
 import torch
 
 from maniskill_grpd.agents import GripperAgent
 from maniskill_grpd.graphs import Channel, GraphSchema
 from maniskill_grpd.tasks.measurement import Measurement
 from maniskill_grpd.tasks.observation import channels
+from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, mean_spacing, neighbors_among
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
-from maniskill_grpd.tasks.observation.partial_view import MaskedView, Sight, StaleView
-from maniskill_grpd.tasks.options.visibility import Visibility
+from maniskill_grpd.tasks.observation.keypoint_view import KeypointView
+from maniskill_grpd.tasks.observation.partial_view import MaskedView, PartialView, Sight, StaleView
+from maniskill_grpd.tasks.options.keypoints import choose_keypoints
+from maniskill_grpd.tasks.options.visibility import check_critic_observations, choose_visibility
 from maniskill_grpd.tasks.pictures.world_pictures import WorldPictures
 
 GRAPH_FEATURES = ("paper", "rich")
@@ -20,7 +25,23 @@ GRAPH_FEATURES = ("paper", "rich")
 
 
 class ObservedWorlds(WorldPictures):
-    """The part of an environment that adds a graph to ManiSkill's observations, and the nodes to its states."""
+    """The part of an environment that adds a graph to ManiSkill's observations, and the nodes to its states.
+
+    Args:
+        obs_mode: ManiSkill's part of the observation mode.
+        visibility: None (default): the graph shows all nodes; "camera": those that at least one of the task's cameras sees, which
+            `sensor_configs` can move, and those that grippers hold.
+        hidden_nodes: "mask" (default): the others are masked; "stale": they stay as they were last seen, with an age.
+        keypoints: Number of nodes that the graph shows instead, found anew at every step among those that can be seen: corners
+            or ends, and where the object is bent most.
+        keypoint_noise: Standard deviation of their positions per axis [m].
+        keypoint_dropout: Share of them in [0, 1) that is not found.
+        critic_observations: "full": `graph["critic"]` holds the graph of all nodes, for the value function in training.
+        settings: Those of the classes below.
+
+    Raises:
+        ValueError: If an option has a value that is not allowed, or options contradict each other.
+    """
 
     OBJECT_CHANNELS: tuple[Channel, ...] = (channels.VELOCITY, channels.ARC, channels.HELD, channels.CONTACT)
     """What the object's nodes tell (eq. 42)."""
@@ -38,10 +59,35 @@ class ObservedWorlds(WorldPictures):
     _graph: GraphObservation
     _num_graph_nodes: int | None
     _has_graph: bool
-    _visibility: Visibility
     _sight: Sight | None
-    _partial_view: MaskedView | StaleView | None
+    _partial_view: PartialView | None
     _full_obs_mode: str
+
+    def __init__(
+        self,
+        *,
+        obs_mode: str,
+        visibility: str | None = None,
+        hidden_nodes: str = "mask",
+        keypoints: int | None = None,
+        keypoint_noise: float = 0.0,
+        keypoint_dropout: float = 0.0,
+        critic_observations: str | None = None,
+        **settings: Any,
+    ) -> None:
+        beside = obs_mode if self._has_graph else None
+        self._visibility = choose_visibility(visibility, hidden_nodes, beside, self.graph_features)
+        self._keypoints = choose_keypoints(
+            keypoints,
+            keypoint_noise,
+            keypoint_dropout,
+            has_graph=self._has_graph,
+            hidden_nodes=hidden_nodes,
+            graph_features=self.graph_features,
+        )
+        is_partial = self._visibility.by_camera or self._keypoints is not None
+        self._critic_sees_all = check_critic_observations(critic_observations, is_partial=is_partial)
+        super().__init__(obs_mode=obs_mode, **settings)
 
     def object_values(self, measurement: Measurement) -> dict[str, torch.Tensor]:
         """Return the task's own channels of the object's nodes by name: vectors (B, N, 3), scalars (B, N); none by default."""
@@ -88,6 +134,7 @@ class ObservedWorlds(WorldPictures):
         self._graph = GraphObservation(self.solver, self.candidate_gripper_nodes, shown, told, self._num_graph_nodes)
         self.graph_schema = self._graph.schema
         self._set_up_sight()
+        self._set_up_view()
 
     def _get_obs_graph(self) -> dict[str, Any]:
         """Return the graph that `graph_schema` describes."""
@@ -95,23 +142,42 @@ class ObservedWorlds(WorldPictures):
         measured = self.measurement
         grippers = {name: value for name, value in self.gripper_values(measured).items() if name not in self._untold}
         graph = self._graph.build(self.start_nodes, velocities, self.object_values(measured), grippers)
-        if self._sight is not None:
-            graph["object"] = self._partial_view.show(graph["object"], self._graph.thinned(self._sight.seen()))
-        return graph
+        if self._partial_view is None:
+            return graph
+        every = graph["object"]
+        seen = every["mask"] if self._sight is None else self._graph.thinned(self._sight.seen())
+        shown = {**graph, "object": self._partial_view.show(every, seen)}
+        return {**shown, "critic": graph} if self._critic_sees_all else shown
 
     def _set_up_sight(self) -> None:
         """Let the graph show what the cameras see, where that is wanted; `_graph` is there."""
-        self._sight = self._partial_view = None
-        if not self._visibility.by_camera:
-            return
-        view, cameras = self._rasterized_cameras()
-        self._sight = Sight(self.solver, view, list(cameras.values()))
-        if self._visibility.keeps_stale:
-            self._partial_view = StaleView(self._graph.num_nodes, self.graph_schema, self.episode_tensor)
-        else:
-            self._partial_view = MaskedView()
+        self._sight = None
+        if self._visibility.by_camera:
+            view, cameras = self._rasterized_cameras()
+            self._sight = Sight(self.solver, view, list(cameras.values()))
 
-    def _forget_what_was_seen(self, worlds: torch.Tensor) -> None:
+    def _set_up_view(self) -> None:
+        """Choose what the graph shows of what is seen."""
+        graph, keypoints = self._graph, self._keypoints
+        self._partial_view = MaskedView() if self._sight is not None else None
+        if self._visibility.keeps_stale:
+            self._partial_view = StaleView(graph.num_nodes, graph.schema, self.episode_tensor)
+        if keypoints is not None:
+            self._partial_view = KeypointView(
+                self.solver, graph.nodes, graph.schema, graph.thinned, keypoints, self.observation_seeds
+            )
+            nodes = [choose_graph_nodes(model, keypoints.num, np.empty(0, np.int64)) for model in self.models]
+            neighbors = [neighbors_among(model, chosen) for model, chosen in zip(self.models, nodes, strict=True)]
+            spacing = mean_spacing(self.models, nodes, neighbors)
+            self.graph_schema = dataclasses.replace(graph.schema, edge_length=spacing)
+
+    def _has_random_observations(self) -> bool:
+        points = self._keypoints
+        return super()._has_random_observations() or (points is not None and bool(points.noise or points.dropout))
+
+    def _start_observing(self, worlds: torch.Tensor) -> None:
+        """Begin to observe the episodes of some worlds (b,)."""
+        super()._start_observing(worlds)
         if isinstance(self._partial_view, StaleView):
             self._partial_view.forget(worlds)
 

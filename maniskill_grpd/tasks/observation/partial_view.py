@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import torch
 
@@ -43,6 +44,13 @@ class Sight:
         return seen
 
 
+class PartialView(Protocol):
+    """Shows a part of the nodes of a graph."""
+
+    def show(self, nodes: Nodes, seen: torch.Tensor) -> Nodes:
+        """Return what is shown of nodes with tensors (B, n, ...), of which those in `seen` (B, n) bool can be seen now."""
+
+
 class MaskedView:
     """Hidden nodes are masked, and nothing of them is left in the tensors."""
 
@@ -50,7 +58,7 @@ class MaskedView:
         """Return nodes with tensors (B, n, ...), of which those in `seen` (B, n) remain."""
         shown = {**nodes, "mask": nodes["mask"] & seen}
         for name in ("position", "vectors", "scalars"):
-            shown[name] = nodes[name] * _like(seen, nodes[name])
+            shown[name] = nodes[name] * like_nodes(seen, nodes[name])
         return shown
 
 
@@ -81,15 +89,15 @@ class StaleView:
     def show(self, nodes: Nodes, seen: torch.Tensor) -> Nodes:
         """Remember the nodes in `seen` (B, n), and return all as they are remembered; asking twice changes nothing."""
         for name, last in self._last.items():
-            torch.where(_like(seen, last) > 0.0, nodes[name], last, out=last)
+            torch.where(like_nodes(seen, last) > 0.0, nodes[name], last, out=last)
         self._ages.masked_fill_(seen, 0.0)
         known = self._ages != UNSEEN
         shown = {**nodes, "mask": nodes["mask"] & known}
-        shown |= {name: last * _like(known, last) for name, last in self._last.items()}
+        shown |= {name: last * like_nodes(known, last) for name, last in self._last.items()}
         shown["scalars"][..., -1] = self._ages * known
         return shown
 
 
-def _like(mask: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+def like_nodes(mask: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     """Return a mask (B, n) as numbers that broadcast over values (B, n, ...)."""
     return mask.to(values.dtype).reshape(*mask.shape, *[1] * (values.ndim - 2))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 VISIBILITIES = (None, "camera")
 HIDDEN_NODES = ("mask", "stale")
 STATES = ("state", "state_dict")
+CRITIC_OBSERVATIONS = (None, "full")
 
 
 @dataclass(frozen=True)
@@ -45,3 +46,18 @@ def choose_visibility(visibility: str | None, hidden_nodes: str, beside: str | N
     if graph_features != "paper":
         raise ValueError(f'visibility="camera" needs graph_features="paper": with {graph_features!r} grippers tell of all nodes')
     return Visibility(by_camera=True, keeps_stale=hidden_nodes == "stale")
+
+
+def check_critic_observations(critic_observations: str | None, *, is_partial: bool) -> bool:
+    """Return whether graphs hold all nodes for a critic beside those that are shown.
+
+    Raises:
+        ValueError: If the option has a value that is not allowed, or the graph shows all nodes anyway.
+    """
+    if critic_observations not in CRITIC_OBSERVATIONS:
+        raise ValueError(f"critic_observations must be one of {list(CRITIC_OBSERVATIONS)}, got {critic_observations!r}")
+    if critic_observations is not None and not is_partial:
+        raise ValueError(
+            'critic_observations="full" needs visibility="camera" or keypoints: without them the graph shows all nodes'
+        )
+    return critic_observations is not None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -11,7 +11,7 @@ from mani_skill.sensors.base_sensor import BaseSensor
 from mani_skill.sensors.camera import Camera, CameraConfig, parse_camera_configs, update_camera_configs_from_dict
 from mani_skill.utils.structs.pose import Pose
 
-from maniskill_grpd.rendering import Lens, Rasterizer, SolverScene, extrinsic_from_pose, intrinsic_from_fov
+from maniskill_grpd.rendering import DepthSensor, Lens, Rasterizer, SolverScene, extrinsic_from_pose, intrinsic_from_fov
 
 MILLIMETRES = 1000.0
 """ManiSkill's unit of depths and positions."""
@@ -25,19 +25,29 @@ class RasterCamera(Camera):
     frame of OpenGL (x right, y up, z backward). Where nothing is seen depth, position, segmentation and normal are 0.
     """
 
-    def __init__(self, config: CameraConfig, view: SolverScene, carriers: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        config: CameraConfig,
+        view: SolverScene,
+        carriers: Mapping[str, Any],
+        sensor: DepthSensor | None = None,
+        seeds: Callable[[], torch.Tensor] | None = None,
+    ) -> None:
         """Set up a camera.
 
         Args:
             config: Pose, lens and size; `mount` is anything with a `pose`.
             view: What the camera sees.
             carriers: What `entity_uid` may name.
+            sensor: Errors of its depths and positions; none by default.
+            seeds: Returns a seed of those errors for each world, (B,) int32.
 
         Raises:
             ValueError: If the lens is impossible, or what carries the camera has no pose.
         """
         BaseSensor.__init__(self, config)  # that of Camera asks SAPIEN for a camera
         self._view, self._device = view, view.scene.device
+        self._sensor, self._seeds = sensor, seeds
         self.entity = config.mount if config.entity_uid is None else carriers.get(config.entity_uid)
         if (config.entity_uid, config.mount) != (None, None) and not hasattr(self.entity, "pose"):
             moving = [name for name, carrier in carriers.items() if hasattr(carrier, "pose")]
@@ -84,8 +94,7 @@ class RasterCamera(Camera):
         if rgb:
             images["rgb"] = self._rasterizer.colors()[:, 0]
         if depth:
-            seen = self._rasterizer.depth()[:, 0, ..., None]
-            images["depth"] = _rounded(torch.where(torch.isfinite(seen), seen, 0.0))
+            images["depth"] = _rounded(self._depths()[1][..., None])
         if position:
             images["position"] = _rounded(self.positions())
         if segmentation:
@@ -98,7 +107,11 @@ class RasterCamera(Camera):
 
     def positions(self) -> torch.Tensor:
         """Return where what was drawn last lies in the frame of OpenGL, not rounded, (B, H, W, 3) [m]; 0 for nothing."""
-        return _to_opengl(self._rasterizer.positions()[:, 0])
+        positions = _to_opengl(self._rasterizer.positions()[:, 0])
+        if self._sensor is None:
+            return positions
+        exact, measured = self._depths()
+        return positions * torch.where(exact > 0.0, measured / exact, 0.0)[..., None]
 
     def get_params(self) -> dict[str, torch.Tensor]:
         """Return `extrinsic_cv` (B, 3, 4), `cam2world_gl` (B, 4, 4) and `intrinsic_cv` (B, 3, 3)."""
@@ -108,6 +121,12 @@ class RasterCamera(Camera):
         last = torch.tensor([0.0, 0.0, 0.0, 1.0], device=self._device).expand(len(extrinsic), 1, 4)
         intrinsic = self._intrinsics().to(self._device).repeat(len(extrinsic), 1, 1)
         return {"extrinsic_cv": extrinsic, "cam2world_gl": torch.cat([inverse, last], dim=1), "intrinsic_cv": intrinsic}
+
+    def _depths(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the exact depths and those that the sensor measures, (B, H, W) [m]; 0 for nothing."""
+        exact = self._rasterizer.depth()[:, 0]
+        exact = torch.where(torch.isfinite(exact), exact, 0.0)
+        return exact, exact if self._sensor is None else self._sensor.measure(exact, self._seeds())
 
     def _packed(self) -> dict[str, torch.Tensor]:
         colors, labels = self._rasterizer.colors()[:, 0], self._rasterizer.segmentation()[:, 0, ..., None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from mani_skill.utils import sapien_utils
 from mani_skill.utils.visualization.misc import tile_images
 
 from maniskill_grpd.physics import Model, Solver
-from maniskill_grpd.rendering import SolverScene, palette
+from maniskill_grpd.rendering import DepthSensor, SolverScene, palette
 from maniskill_grpd.tasks.options.observation_mode import needs_camera
 from maniskill_grpd.tasks.pictures.arm_solids import arm_bodies, arm_solids
 from maniskill_grpd.tasks.pictures.browser_window import BrowserWindow
@@ -44,6 +44,13 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
 
     Without SAPIEN the rasteriser draws what the cameras of all worlds see at once, and numpy what `render_mode="rgb_array"`
     returns. SAPIEN has one stage for all worlds: each is mirrored on it in turn.
+
+    Args:
+        depth_sensor: Errors of the depths that cameras measure, settings of `DepthSensor` by name; none by default.
+        settings: Those of the classes below.
+
+    Raises:
+        ValueError: If there is no such setting, or SAPIEN draws, whose depths are exact.
     """
 
     CAMERA_POSITION = (0.0, -0.7, 1.15)
@@ -67,6 +74,12 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     """What the cameras of the rasteriser see, where it draws observations."""
     _drawn_worlds: range
     """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
+
+    def __init__(self, *, depth_sensor: Mapping[str, float] | None = None, **settings: Any) -> None:
+        self._depth_sensor = DepthSensor.from_mapping(depth_sensor)
+        if self._depth_sensor is not None and self._render_device_name is not None:
+            raise ValueError('depth_sensor needs the rasteriser: choose render_backend="warp"; depths of SAPIEN are exact')
+        super().__init__(**settings)
 
     def drawing(self, world: int) -> Drawing:
         """Return what there is to see in a world: the object, the obstacles and the grippers.
@@ -211,7 +224,31 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         carriers: dict[str, Any] = {name: link for agent in self._agents for name, link in agent.robot.links_map.items()}
         positions = self.solver.gripper_positions
         carriers |= {f"gripper_{index}": GripperMount(positions, index) for index in range(self.num_grippers)}
-        return view, {uid: RasterCamera(config, view, carriers) for uid, config in configs.items()}
+        sensor = self._depth_sensor
+        return view, {
+            uid: RasterCamera(config, view, carriers, sensor, partial(self.observation_seeds, index))
+            for index, (uid, config) in enumerate(configs.items())
+        }
+
+    def _has_random_observations(self) -> bool:
+        """Tell whether anything in observations is random."""
+        return self._depth_sensor is not None
+
+    def _set_up_random_observations(self) -> None:
+        self._observation_noise = (
+            self.episode_tensor("observation_noise", kind="scalar") if self._has_random_observations() else None
+        )
+
+    def _start_observing(self, worlds: torch.Tensor) -> None:
+        if self._observation_noise is not None:
+            (draws,) = self.draw_uniform(worlds, 1)
+            self._observation_noise[worlds] = draws[:, 0]
+
+    def observation_seeds(self, stream: int) -> torch.Tensor:
+        """Return a seed for what is random in an observation of each world now, (B,) int32; another one for another stream."""
+        drawn = ((self._observation_noise + 1.0) * 2**23).long()
+        mixed = drawn * 1_000_003 + self._elapsed_steps.long() * 7_919 + stream * 104_729
+        return (mixed % 2**31).int()
 
     def _rasterize_sensors(self, apply_texture_transforms: bool) -> dict[str, dict[str, torch.Tensor]]:
         """Return what the cameras see in all worlds."""
