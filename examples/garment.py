@@ -18,7 +18,7 @@ from PIL import Image
 
 from maniskill_grpd.physics import Model, Solver, capsule, cloth, cloth_from_mesh
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid
-from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
+from maniskill_grpd.tasks.pictures.warp_painter import WarpPainter
 
 RIGHT = [(0.12, 0.0), (0.12, 0.24), (0.22, 0.21), (0.25, 0.31), (0.06, 0.38)]
 OUTLINE = np.array([*RIGHT, (0.0, 0.34), *((-x, y) for x, y in RIGHT[::-1])])
@@ -61,7 +61,7 @@ def count_crossings(model: Model, positions: np.ndarray) -> int:
 def draw(solver: Solver, bar: trimesh.Trimesh, path: Path) -> None:
     """Save a picture of the first world."""
     camera = CameraConfig("camera", look_at([0.55, -0.65, 0.7], [0.0, 0.0, 0.3]), 640, 640, 0.8, 0.01, 10.0)
-    painter = NumpyPainter(camera)
+    painter = WarpPainter(camera)
     shirt = Sheet(solver.positions[0].double().numpy(), solver.model.faces)
     nothing = {"grippers": np.zeros((0, 3)), "closed": np.zeros(0, dtype=bool), "is_solved": False}
     painter.show(Drawing(object=shirt, solids=(Solid(bar.vertices, bar.faces),), **nothing))

@@ -100,3 +100,17 @@ def test_ppo_as_in_maniskill_learns():
         rollout, state = maniskill_ppo.collect(agent, envs, state, config)
         maniskill_ppo.update(agent, optimizer, rollout, config)
     assert error() < 0.8 * before
+
+
+def test_stable_baselines3_trains_a_convolutional_network_on_depth():
+    pytest.importorskip("stable_baselines3")
+    import stable_baselines3_depth
+
+    config = stable_baselines3_depth.Sb3DepthConfig(num_envs=4, num_steps=8, image_size=36, total_timesteps=64, sim_backend="cpu")
+    learner = stable_baselines3_depth.train(config)
+    assert learner.num_timesteps == 64
+    assert learner.observation_space.shape == (1, 36, 36)
+    images = learner.rollout_buffer.observations
+    assert 0.0 < images.min() < images.max() <= 1.0
+    assert (images[0] != images[-1]).any()
+    assert type(learner.policy.features_extractor).__name__ == "NatureCNN"

@@ -13,9 +13,9 @@ import trimesh
 from maniskill_grpd.rendering import palette
 from maniskill_grpd.tasks.pictures import render_device
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Line, Sheet, Solid, Tube
-from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
 from maniskill_grpd.tasks.pictures.pinhole_camera import PinholeCamera
 from maniskill_grpd.tasks.pictures.render_device import choose_render_device
+from maniskill_grpd.tasks.pictures.warp_painter import WarpPainter
 
 
 @pytest.fixture
@@ -133,9 +133,9 @@ def test_whole_workspace_is_in_the_picture(make_env):
 
 @pytest.fixture(scope="module")
 def pictures():
-    """Return a function that draws with numpy what the default camera sees, (H, W, 3)."""
+    """Return a function that draws without SAPIEN what the default camera sees, (H, W, 3)."""
     base = gym.make("RopeShaping-v1", sim_backend="cpu", render_backend="none").unwrapped
-    painter = NumpyPainter(base._default_human_render_camera_configs)
+    painter = WarpPainter(base._default_human_render_camera_configs)
     base.close()
 
     def draw(drawing, **options):
@@ -159,7 +159,7 @@ def test_a_picture_does_not_depend_on_those_before(pictures):
         assert torch.equal(pictures(drawings[index]), first[index]), index
     env = gym.make("RopeShaping-v1", sim_backend="cpu", render_backend="none")
     for drawing, picture in zip(drawings, first, strict=True):
-        painter = NumpyPainter(env.unwrapped._default_human_render_camera_configs)
+        painter = WarpPainter(env.unwrapped._default_human_render_camera_configs)
         painter.show(drawing)
         assert torch.equal(painter.picture()[0], picture)
     env.close()

@@ -1,1 +1,1 @@
-"""Pictures of worlds, by SAPIEN where there is a Vulkan driver and by numpy elsewhere."""
+"""Pictures of worlds, by SAPIEN where there is a Vulkan driver and in Warp elsewhere."""

@@ -13,15 +13,15 @@ if TYPE_CHECKING:
 
 
 def choose_painter(env: WorldPictures) -> Painter | None:
-    """Return the painter for an environment: SAPIEN where it can draw, else numpy, or None."""
+    """Return the painter for an environment: SAPIEN where it can draw, else the canvas in Warp, or None."""
     if env.scene.can_render():
         from maniskill_grpd.tasks.pictures.sapien_painter import SapienPainter
 
         return SapienPainter(env.scene)
     if env.render_mode in ("rgb_array", "all"):
-        from maniskill_grpd.tasks.pictures.numpy_painter import NumpyPainter
+        from maniskill_grpd.tasks.pictures.warp_painter import WarpPainter
 
         configs = parse_camera_configs(env._default_human_render_camera_configs)
         update_camera_configs_from_dict(configs, env._custom_human_render_camera_configs or {})
-        return NumpyPainter(next(iter(configs.values())))
+        return WarpPainter(next(iter(configs.values())))
     return None

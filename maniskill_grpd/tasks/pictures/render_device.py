@@ -43,7 +43,7 @@ sys.exit(0 if camera.get_picture("Color")[8, 8, :3].max() > 0 else 1)
 def choose_render_device(requested: str | None, render_mode: str | None, obs_mode: str) -> str | None:
     """Return SAPIEN's name of the device to draw with, None where nothing is drawn by SAPIEN.
 
-    Where it should draw and cannot, numpy draws pictures, the rasteriser draws observations, and a browser shows "human".
+    Where it should draw and cannot, Warp draws pictures and observations, and a browser shows "human".
 
     Args:
         requested: "auto": image observations without SAPIEN, which draws one world after the other, pictures with whatever can

@@ -42,8 +42,8 @@ MAX_DRAWN_WORLDS = 16
 class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     """The part of an environment that takes pictures.
 
-    Without SAPIEN the rasteriser draws what the cameras of all worlds see at once, and numpy what `render_mode="rgb_array"`
-    returns. SAPIEN has one stage for all worlds: each is mirrored on it in turn.
+    Without SAPIEN Warp draws: what the cameras of all worlds see at once, and what `render_mode="rgb_array"` returns.
+    SAPIEN has one stage for all worlds: each is mirrored on it in turn.
 
     Args:
         depth_sensor: Errors of the depths that cameras measure, settings of `DepthSensor` by name; none by default.
