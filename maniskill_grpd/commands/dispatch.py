@@ -22,6 +22,7 @@ COMMANDS = {
     "record": "record demonstrations of an expert in ManiSkill's trajectory format",
     "replay": "replay recorded trajectories, in another observation mode for instance",
     "inspect": "draw what a policy looks at",
+    "interpret": "measure where policies look, and write a page",
     "plot": "draw the learning curves of runs",
     "video": "record a video of a checkpoint",
     "demo": "train for a few minutes and show what was learned",

@@ -19,7 +19,7 @@ NEEDED = {
     "study": ["--study", "main"],
     "sweep": ["--name", "s"],
     "evaluate_study": ["--study", "main", "--checkpoint", "a.pt"],
-    **dict.fromkeys(("evaluate", "inspect", "video"), ["--checkpoint", "a.pt"]),
+    **dict.fromkeys(("evaluate", "inspect", "interpret", "video"), ["--checkpoint", "a.pt"]),
 }
 """What a command asks for, by its name."""
 NOT_COMMANDS = {"__init__", "dispatch", "run_command", "study_tasks"}
