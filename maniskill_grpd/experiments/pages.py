@@ -99,7 +99,7 @@ def _provenance(data: StudyData) -> str:
     """Say what the page is made of."""
     runs = [run for task in data.study.tasks for run in data.runs(task)]
     rows = [data.results.runs[run.name] for run in runs]
-    sentences = [_command(data.study.name)]
+    sentences = [_command(data.study.name, is_smoke_test=data.study.is_smoke_test)]
     if data.study.trained_by:
         sentences.append(f"Checkpoints are those of [{data.study.trained_by}]({data.study.trained_by}.md).")
     if not rows:
@@ -129,8 +129,8 @@ def _cautions(data: StudyData) -> list[str]:
     return parts
 
 
-def _command(study: str) -> str:
-    words = ["study", "--study", study, "--report", "--output", "docs/results"]
+def _command(study: str, *, is_smoke_test: bool = False) -> str:
+    words = ["study", "--study", study, *(["--quick"] if is_smoke_test else ["--report", "--output", "docs/results"])]
     return f"This page is written by `{command_line(words)}`, not by hand."
 
 

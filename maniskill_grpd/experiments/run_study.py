@@ -90,7 +90,13 @@ def as_smoke_test(study: Study) -> Study:
         f"see that it runs. Its figures mean nothing. {study.question}"
     )
     return dataclasses.replace(
-        study, title=f"{study.title} (smoke test)", question=question, budget=SMOKE_BUDGET, train_options=SMOKE_OPTIONS
+        study,
+        title=f"{study.title} (smoke test)",
+        question=question,
+        claims=(),
+        budget=SMOKE_BUDGET,
+        train_options=SMOKE_OPTIONS,
+        is_smoke_test=True,
     )
 
 

@@ -204,6 +204,7 @@ class Study:
         budget: Environment steps of each training, where the study fixes them.
         train_options: Fields of `TrainConfig` for all arms.
         first_seed: Of its trainings; from `PILOT_SEED` up for what chooses settings.
+        is_smoke_test: Whether it shows no more than that every arm runs to the end.
     """
 
     name: str
@@ -219,6 +220,7 @@ class Study:
     budget: int | None = None
     train_options: Options = field(default_factory=dict, hash=False)
     first_seed: int = 1
+    is_smoke_test: bool = False
 
     def seeds(self, num: int) -> range:
         """Return the seeds of its trainings, `num` of each arm on each task."""

@@ -119,6 +119,13 @@ def test_a_failed_run_is_marked_with_its_log_and_the_others_go_on(toy, capsys):
     assert page.count("| failed |") == 1
 
 
+def test_a_smoke_test_plans_every_arm_once_and_takes_no_budget_of_ones_own(folder, capsys):
+    assert main(["study", "--study", "main", "--quick", "--dry_run"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("16 runs and 4 experts with 20 tests")
+    assert main(["study", "--study", "main", "--quick", "--budget", "1000"]) == 2
+    assert "--quick has a budget of its own" in capsys.readouterr().err
+
+
 def test_a_dry_run_lists_runs_and_time_and_does_nothing(folder, capsys):
     assert main(["study", "--study", "main", "--budget", "20000", "--seeds", "2", "--dry_run"]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -9,6 +9,7 @@ from synthetic_results import EASY, HARD, OURS, STUDY, THEIRS, results_of, run_o
 from maniskill_grpd.experiments import STUDIES
 from maniskill_grpd.experiments.pages import write_study_page, write_summary_page
 from maniskill_grpd.experiments.results import Results
+from maniskill_grpd.experiments.run_study import SMOKE_BUDGET, as_smoke_test
 from maniskill_grpd.experiments.study_data import StudyData
 from maniskill_grpd.experiments.tables import claim_table, format_summary, score_table
 
@@ -157,3 +158,17 @@ def test_the_summary_lists_every_study_and_every_claim(tmp_path):
         for claim in study.claims:
             assert f"| {claim.text} |" in text
     assert text.count("| not run |") >= sum(len(study.claims) for study in STUDIES.values())
+
+
+def test_a_smoke_test_says_that_it_is_none_of_the_results():
+    smoke = as_smoke_test(STUDIES["main"])
+    assert smoke.title == "Main results (smoke test)"
+    assert "its figures mean nothing" in smoke.question.lower()
+    assert not smoke.claims
+    assert [run.name for run in smoke.runs(1000, (1,))] != [run.name for run in STUDIES["main"].runs(SMOKE_BUDGET, (1,))]
+
+
+def test_a_page_of_a_smoke_test_names_its_command(tmp_path):
+    text = write_study_page(as_smoke_test(STUDY), tmp_path).read_text()
+    assert "`maniskill-grpd study --study toy --quick`" in text
+    assert "## Claims" not in text
