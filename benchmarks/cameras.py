@@ -5,7 +5,8 @@ python benchmarks/cameras.py [--quick] [--json FILE]
 Wrinkled square cloths, one camera 45 cm above each, which fill a quarter of the image; one thread. Both look at the same meshes.
 The ray cast follows one ray per pixel through a bounding volume hierarchy of all worlds, far apart from each other; updating it
 counts, as cloth moves between images. Both take turns, and the time is that of the thread's own processor, which does not count
-waiting for a core. At the end environment steps of ClothFolding-v1 with and without images.
+waiting for a core. At the end environment steps of ClothFolding-v1 by what is observed, also with images by SAPIEN where it can
+draw, and pictures of 512x512 pixels of all tasks (`render_mode="rgb_array"`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from machine import describe_machine, report
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
 from maniskill_grpd.rendering import Label, Lens, Rasterizer, TriangleScene, look_at
+from maniskill_grpd.tasks.pictures.render_device import can_draw
 
 SIDE, EYE_HEIGHT, FOCAL = 0.24, wp.constant(0.45), 0.9
 """Side of the cloths and height of the cameras [m], and focal length in widths of the image."""
@@ -32,6 +34,9 @@ APART = 50.0
 """Distance of the worlds for the ray cast [m]."""
 NUM_STEPS = 40
 """Steps of an environment in one repeat."""
+NUM_PICTURES = 20
+"""Pictures in one repeat."""
+TASKS = ("RopeShaping-v1", "RopeWrapping-v1", "ClothFolding-v1", "ClothHanging-v1")
 
 
 @wp.kernel(enable_backward=False)
@@ -112,10 +117,21 @@ def measure(num_worlds: int, n: int, size: int, repeats: int) -> list[dict[str, 
     return rows
 
 
-def measure_environment(obs_mode: str, num_worlds: int, repeats: int) -> dict[str, Any]:
+def observations() -> dict[str, dict[str, Any]]:
+    """Return what is compared, options of the environment by name."""
+    images = {"obs_mode": "depth", "sensor_configs": {"width": 64, "height": 64}}
+    cases = {
+        "graph": {},
+        "graph, nodes that a camera sees": {"visibility": "camera"},
+        "graph, 8 keypoints": {"keypoints": 8},
+        "depth": images,
+    }
+    return {**cases, "depth by SAPIEN": {**images, "render_backend": "cpu"}} if can_draw("cpu") else cases
+
+
+def measure_environment(name: str, options: dict[str, Any], num_worlds: int, repeats: int) -> dict[str, Any]:
     """Return environment steps per second of ClothFolding-v1 in processor time of all threads."""
-    camera = {"width": 64, "height": 64} if obs_mode == "depth" else {}
-    env = gym.make("ClothFolding-v1", num_envs=num_worlds, obs_mode=obs_mode, sim_backend="cpu", sensor_configs=camera)
+    env = gym.make("ClothFolding-v1", num_envs=num_worlds, sim_backend="cpu", **options)
     env.reset(seed=0)
     action = torch.zeros(num_worlds, env.action_space.shape[-1])
     rates = []
@@ -125,7 +141,22 @@ def measure_environment(obs_mode: str, num_worlds: int, repeats: int) -> dict[st
             env.step(action)
         rates.append(num_worlds * NUM_STEPS / (time.process_time() - start))
     env.close()
-    return {"env": "ClothFolding-v1", "obs_mode": obs_mode, "num_worlds": num_worlds, "env_steps_per_s": statistics.median(rates)}
+    return {"env": "ClothFolding-v1", "obs_mode": name, "num_worlds": num_worlds, "env_steps_per_s": statistics.median(rates)}
+
+
+def measure_pictures(env_id: str, repeats: int) -> dict[str, Any]:
+    """Return milliseconds of processor time for a picture of 512x512 pixels, without SAPIEN."""
+    env = gym.make(env_id, render_mode="rgb_array", render_backend="warp", sim_backend="cpu")
+    env.reset(seed=0)
+    env.render()  # compiles, and draws what never moves
+    times = []
+    for _ in range(NUM_PICTURES * repeats):
+        env.step(torch.zeros(1, env.action_space.shape[-1]))
+        start = time.thread_time()
+        env.render()
+        times.append(time.thread_time() - start)
+    env.close()
+    return {"picture_of": env_id, "milliseconds": 1e3 * statistics.median(times)}
 
 
 def main() -> None:
@@ -138,7 +169,8 @@ def main() -> None:
     machine = describe_machine()
     worlds, nodes, sizes, repeats = ((8,), (10,), (64,), 1) if options.quick else ((64, 1024), (10, 32), (64, 128), 3)
     rows = [row for b in worlds for n in nodes for size in sizes for row in measure(b, n, size, repeats)]
-    rows += [measure_environment(mode, worlds[0], repeats) for mode in ("graph", "depth")]
+    rows += [measure_environment(name, case, worlds[0], repeats) for name, case in observations().items()]
+    rows += [measure_pictures(env_id, repeats) for env_id in TASKS]
     report(rows, machine, options.json)
 
 

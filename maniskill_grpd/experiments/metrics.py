@@ -26,6 +26,7 @@ METRICS = {
     "success_at_end": Metric("success", "share of test episodes that end in success, acting with the mean"),
     "success_once": Metric("success once", "share of test episodes that are in success at some step"),
     "return": Metric("return", "mean undiscounted return of test episodes; at most 100", 1),
+    "hidden_share": Metric("hidden nodes", "share of nodes that no camera sees at the end of test episodes"),
     "training_return": Metric("return over training", "mean over training of the return in evaluations: sample efficiency", 1),
     "kl_acting": Metric("KL of an update", "mean over training of the average KL(new || old) of the policy that acts [nats]", 3),
     "action_norm": Metric("action norm", "mean length of actions in the last tenth of training; motions end at 1", 2),

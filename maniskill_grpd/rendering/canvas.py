@@ -8,9 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 import warp as wp
 
 from maniskill_grpd.physics.launches import quiet_warp
+from maniskill_grpd.physics.memory import check_memory
 from maniskill_grpd.rendering import palette
 from maniskill_grpd.rendering.cameras import Lens
 from maniskill_grpd.rendering.kernels import canvas as kernels
@@ -26,6 +28,7 @@ EDGE_DARKNESS = 0.35
 EDGE_MARGIN = 1.0
 """How far beyond what is drawn edges may lie [samples]."""
 DEVICE = "cpu"
+NUM_LAYERS, BYTES_PER_SAMPLE = 3, 16
 
 
 @dataclass(frozen=True)
@@ -67,9 +70,14 @@ class Canvas:
             lens: Size of the picture; what is nearer than `near` is not seen.
             fov: Vertical field of view [rad].
             pose: Of the camera in the world, (4, 4) [m].
+
+        Raises:
+            ValueError: If memory does not suffice, with what the picture needs.
         """
+        num_bytes = NUM_LAYERS * BYTES_PER_SAMPLE * SAMPLES**2 * lens.width * lens.height
+        check_memory(f"pictures of {lens.width}x{lens.height} pixels", num_bytes, "their samples", torch.device(DEVICE))
         self._eye = _eye(lens, fov, pose)
-        self._layer, self._film, self._ground = (_layer(lens) for _ in range(3))
+        self._layer, self._film, self._ground = (_layer(lens) for _ in range(NUM_LAYERS))
         self._shadow = wp.zeros((lens.height, lens.width), dtype=wp.uint8, device=DEVICE)
         self._wiped = wp.zeros_like(self._layer.tiles)
         self._picture = wp.zeros((lens.height, lens.width, 3), dtype=wp.uint8, device=DEVICE)

@@ -289,7 +289,7 @@ class DeformableEnv(SeededWorlds, EpisodeStarts, RestorableWorlds, ObservedWorld
     def _load_scene(self, options: dict) -> None:
         self._episode = EpisodeTensors(self.num_envs, self.device)
         self.allocate_episode()
-        self._set_up_random_observations()
+        self._set_up_observations()
         self._set_up_graph()
         self._set_up_drawing(options)
 

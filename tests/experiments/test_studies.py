@@ -21,7 +21,8 @@ ALL = pytest.mark.parametrize("study", STUDIES.values(), ids=STUDIES)
 def test_every_claim_of_the_design_has_a_study():
     ablations = {"equivariance", "unseen_poses", "heterogeneity", "features", "decoder", "architecture"}
     training = {"main", "bpp_vs_ppo", "unseen_shapes", "pose_range", "bar", "hepi", *ablations}
-    assert set(STUDIES) == training | {"noise", "resolution", "grippers", "cost"} | {f"tuning_{name}" for name in POLICIES}
+    tested = {"noise", "resolution", "grippers", "cost"}
+    assert set(STUDIES) == training | tested | {"occlusion", "critic"} | {f"tuning_{name}" for name in POLICIES}
 
 
 def test_a_registered_task_joins_the_studies_of_all_tasks_once(monkeypatch):
@@ -132,6 +133,7 @@ DIFFERENCES = {
     "unbounded": {"magnitude"},
     "small_steps": {"mean_bound", "cov_bound"},
     "large_steps": {"mean_bound", "cov_bound"},
+    "full_critic": {"critic_observations"},
 }
 """The one thing in which an arm differs from its partner."""
 

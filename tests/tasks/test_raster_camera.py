@@ -237,3 +237,43 @@ def test_a_depth_sensor_errs_in_depths_and_points_alike_and_only_there(make_env)
     assert ((later == 0) != (seen["depth"] == 0)).any()
     with pytest.raises(ValueError, match="depth_sensor must be a mapping"):
         make_env(1, depth_sensor={"blur": 1.0})
+
+
+def test_a_camera_inside_something_is_refused_with_its_worlds(make_env):
+    env = make_env(2)
+    place = env.unwrapped.solver.gripper_positions[1, 0].tolist()
+    settings = {"base_camera": {"pose": [*place, 1.0, 0.0, 0.0, 0.0]}}
+    with pytest.raises(ValueError, match=r"camera 'base_camera' is inside an obstacle, a gripper or the rope in worlds"):
+        make_env(2, obs_mode="depth", sensor_configs=settings).reset(seed=0)
+
+
+def test_several_cameras_stand_round_the_table(make_env):
+    env = make_env(1, obs_mode="depth", num_cameras=3, sensor_configs={"width": 16, "height": 16})
+    params = env.unwrapped.get_sensor_params()
+    assert list(params) == ["base_camera", "base_camera_1", "base_camera_2"]
+    places = torch.cat([camera["cam2world_gl"][:, :3, 3] for camera in params.values()])
+    assert (places[:, 2] - places[0, 2]).abs().max() < 1e-5
+    target = torch.tensor(env.unwrapped.CAMERA_TARGET)
+    torch.testing.assert_close((places - target)[:, :2].sum(dim=0), torch.zeros(2), atol=1e-5, rtol=0.0)
+    axes = torch.cat([-camera["cam2world_gl"][:, :3, 2] for camera in params.values()])
+    torch.testing.assert_close(axes, torch.nn.functional.normalize(target - places), atol=1e-5, rtol=0.0)
+    with pytest.raises(ValueError, match=r"num_cameras must be a whole number in 1 ... 8, got 9"):
+        make_env(1, num_cameras=9)
+
+
+def test_a_camera_can_be_on_the_hand_of_an_arm(make_env):
+    arms = {"num_grippers": 2, "robot_uids": ("panda", "panda"), "pose_range": "quarter"}
+    mount = {"base_camera": {"entity_uid": "arm_1/panda_hand", "pose": [0.1, 0.0, 0.0, 0.7071068, 0.0, -0.7071068, 0.0]}}
+    env = make_env(1, obs_mode="depth", sensor_configs={"width": 16, "height": 16, **mount}, **arms)
+    before = env.unwrapped.get_sensor_params()["base_camera"]["cam2world_gl"][0]
+    grippers = env.unwrapped.solver.gripper_positions[0].clone()
+    assert (before[:3, 3] - grippers[1]).norm() < 0.3
+    actions = {key: torch.ones(1, space.shape[-1]) for key, space in env.action_space.items()}
+    for _ in range(3):
+        env.step(actions)
+    after = env.unwrapped.get_sensor_params()["base_camera"]["cam2world_gl"][0]
+    moved = env.unwrapped.solver.gripper_positions[0, 1] - grippers[1]
+    assert moved.norm() > 0.02
+    torch.testing.assert_close(after[:3, 3] - before[:3, 3], moved, atol=0.02, rtol=0.0)
+    with pytest.raises(ValueError, match="can be mounted on .*arm_0/panda_hand.*got 'arm_7/nose'"):
+        make_env(1, obs_mode="depth", sensor_configs={"base_camera": {"entity_uid": "arm_7/nose"}}, **arms)

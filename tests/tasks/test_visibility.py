@@ -193,3 +193,17 @@ def test_a_task_without_a_camera_cannot_hide(make_env, monkeypatch):
     monkeypatch.setattr(cls, "_default_sensor_configs", property(lambda self: []))
     with pytest.raises(ValueError, match="needs a camera"):
         make_env(1, visibility="camera")
+
+
+def test_info_tells_what_share_is_hidden(make_env):
+    env = make_env(2, visibility="camera", **SIDE)
+    base = env.unwrapped
+    base.solver.holder[:] = -1
+    base.solver.positions[1, :, 0] += 5.0
+    base.solver.gripper_positions[..., 0] = 2.0
+    assert base.get_info()["hidden_share"].tolist() == [0.0, 1.0]
+    lay_folded(env)
+    mask, seen = base.solver.node_mask, base.get_obs()["graph"]["object"]["mask"]
+    expected = 1.0 - seen.sum(dim=1) / mask.sum(dim=1)
+    torch.testing.assert_close(base.get_info()["hidden_share"], expected)
+    assert "hidden_share" not in make_env(1).unwrapped.get_info()

@@ -15,6 +15,7 @@ from maniskill_grpd.experiments.studies.ablations import (
 from maniskill_grpd.experiments.studies.cost import COST
 from maniskill_grpd.experiments.studies.generalization import GRIPPERS, NOISE, RESOLUTION, UNSEEN_SHAPES
 from maniskill_grpd.experiments.studies.learning import BAR, MAIN, NEIGHBOUR, POSE_RANGE
+from maniskill_grpd.experiments.studies.occlusion import CRITIC, OCCLUSION
 from maniskill_grpd.experiments.studies.optimisation import BPP_VS_PPO
 from maniskill_grpd.experiments.studies.parts import ALL_TASKS
 from maniskill_grpd.experiments.studies.tuning import TUNING
@@ -34,6 +35,8 @@ STUDIES: dict[str, Study] = {
         GRIPPERS,
         POSE_RANGE,
         BAR,
+        OCCLUSION,
+        CRITIC,
         COST,
         NEIGHBOUR,
         FEATURES,

@@ -15,6 +15,7 @@ from maniskill_grpd.tasks.observation import channels
 from maniskill_grpd.tasks.observation.graph_nodes import choose_graph_nodes, mean_spacing, neighbors_among
 from maniskill_grpd.tasks.observation.graph_observation import GraphObservation
 from maniskill_grpd.tasks.observation.keypoint_view import KeypointView
+from maniskill_grpd.tasks.observation.node_statistics import mean_over_nodes
 from maniskill_grpd.tasks.observation.partial_view import MaskedView, PartialView, Sight, StaleView
 from maniskill_grpd.tasks.options.keypoints import choose_keypoints
 from maniskill_grpd.tasks.options.visibility import check_critic_observations, choose_visibility
@@ -60,6 +61,7 @@ class ObservedWorlds(WorldPictures):
     _num_graph_nodes: int | None
     _has_graph: bool
     _sight: Sight | None
+    _seen: torch.Tensor | None = None
     _partial_view: PartialView | None
     _full_obs_mode: str
 
@@ -145,7 +147,7 @@ class ObservedWorlds(WorldPictures):
         if self._partial_view is None:
             return graph
         every = graph["object"]
-        seen = every["mask"] if self._sight is None else self._graph.thinned(self._sight.seen())
+        seen = every["mask"] if self._sight is None else self._graph.thinned(self._seen_nodes())
         shown = {**graph, "object": self._partial_view.show(every, seen)}
         return {**shown, "critic": graph} if self._critic_sees_all else shown
 
@@ -170,6 +172,25 @@ class ObservedWorlds(WorldPictures):
             neighbors = [neighbors_among(model, chosen) for model, chosen in zip(self.models, nodes, strict=True)]
             spacing = mean_spacing(self.models, nodes, neighbors)
             self.graph_schema = dataclasses.replace(graph.schema, edge_length=spacing)
+
+    def _seen_nodes(self) -> torch.Tensor:
+        """Return which nodes are seen now, (B, N) bool; looked at once until the worlds change, like `measurement`."""
+        if self._seen is None:
+            self._seen = self._sight.seen()
+        return self._seen
+
+    def forget_measurement(self) -> None:
+        """Also look at the worlds anew."""
+        super().forget_measurement()
+        self._seen = None
+
+    def get_info(self) -> dict[str, torch.Tensor]:
+        """Return also `hidden_share`, the share of nodes that are not seen, (B,), where `visibility` is "camera"."""
+        info = super().get_info()
+        if self._sight is not None:
+            mask = self.solver.node_mask
+            info["hidden_share"] = mean_over_nodes((~self._seen_nodes()).float(), mask)
+        return info
 
     def _has_random_observations(self) -> bool:
         points = self._keypoints

@@ -9,9 +9,13 @@ from typing import Any
 import torch
 from mani_skill.sensors.base_sensor import BaseSensor
 from mani_skill.sensors.camera import Camera, CameraConfig, parse_camera_configs, update_camera_configs_from_dict
+from mani_skill.utils.geometry.rotation_conversions import matrix_to_quaternion
 from mani_skill.utils.structs.pose import Pose
 
-from maniskill_grpd.rendering import DepthSensor, Lens, Rasterizer, SolverScene, extrinsic_from_pose, intrinsic_from_fov
+from maniskill_grpd.agents.arms import ArmArticulation
+from maniskill_grpd.agents.arms.link_frames import link_frames
+from maniskill_grpd.rendering import DepthSensor, Label, Lens, Rasterizer, SolverScene, extrinsic_from_pose, intrinsic_from_fov
+from maniskill_grpd.rendering.inside import is_inside
 
 MILLIMETRES = 1000.0
 """ManiSkill's unit of depths and positions."""
@@ -59,6 +63,22 @@ class RasterCamera(Camera):
         """Draw what the camera sees; `SolverScene.update` comes first."""
         self._follow()
         self._rasterizer.draw()
+
+    def check_place(self, worlds: torch.Tensor) -> None:
+        """Refuse a camera that is inside an obstacle, a gripper or the rope in some worlds (b,), where it would see nothing else.
+
+        Raises:
+            ValueError: With the worlds.
+        """
+        self._view.update()
+        extrinsics = self._extrinsics()[worlds]
+        places = -(extrinsics[:, :, :3].mT @ extrinsics[:, :, 3:])[..., 0]
+        inside = is_inside(self._view.scene, worlds, places, (Label.OBSTACLE, Label.GRIPPER, Label.ROPE))
+        if bool(inside.any()):
+            raise ValueError(
+                f"camera {self.config.uid!r} is inside an obstacle, a gripper or the rope in worlds {worlds[inside].tolist()}; "
+                "move it with sensor_configs"
+            )
 
     def visible(self, points: torch.Tensor, tolerance: float) -> torch.Tensor:
         """Tell which points (B, P, 3) [m] the camera sees now, (B, P); `SolverScene.update` comes first.
@@ -152,6 +172,20 @@ class RasterCamera(Camera):
         if len(matrices) not in (1, num):
             raise ValueError(f"camera {self.config.uid!r} must have 1 pose or {num}, one for each world, got {len(matrices)}")
         return extrinsic_from_pose(matrices).expand(num, 3, 4).contiguous()
+
+
+class LinkMount:
+    """What carries a camera with a link of an arm; `entity_uid` calls it "arm_0/panda_hand", by the arm and the link."""
+
+    def __init__(self, arm: ArmArticulation, link: str) -> None:
+        """Follow a link of an arm."""
+        self._arm, self._link = arm, link
+
+    @property
+    def pose(self) -> Pose:
+        """Where the link is in each world."""
+        frame = link_frames(self._arm)[self._link]
+        return Pose.create_from_pq(p=frame[:, :3, 3], q=matrix_to_quaternion(frame[:, :3, :3]))
 
 
 class GripperMount:

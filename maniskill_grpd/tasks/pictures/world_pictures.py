@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import torch
+import trimesh
 from mani_skill.sensors.camera import CameraConfig, parse_camera_configs
 from mani_skill.utils import sapien_utils
 from mani_skill.utils.visualization.misc import tile_images
 
+from maniskill_grpd.agents.arms.link_frames import link_frames
 from maniskill_grpd.physics import Model, Solver
 from maniskill_grpd.rendering import DepthSensor, SolverScene, palette
 from maniskill_grpd.tasks.options.observation_mode import needs_camera
@@ -22,7 +24,7 @@ from maniskill_grpd.tasks.pictures.collider_solids import collider_solids
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid, Tube
 from maniskill_grpd.tasks.pictures.painter import Painter
 from maniskill_grpd.tasks.pictures.painters import choose_painter
-from maniskill_grpd.tasks.pictures.raster_camera import MILLIMETRES, GripperMount, RasterCamera, camera_configs
+from maniskill_grpd.tasks.pictures.raster_camera import MILLIMETRES, GripperMount, LinkMount, RasterCamera, camera_configs
 from maniskill_grpd.tasks.worlds.batched_scene import BatchedScene
 from maniskill_grpd.tasks.worlds.embodied_worlds import EmbodiedWorlds
 from maniskill_grpd.tasks.worlds.measured_worlds import MeasuredWorlds
@@ -35,6 +37,7 @@ PICTURE_SIZE = 512
 """Height and width of the pictures of `render()` [pixels]."""
 LARGE_PICTURES = 4
 """Largest number of worlds that are drawn in that size; more are tiles of a video and half as large."""
+MOST_CAMERAS = 8
 MAX_DRAWN_WORLDS = 16
 """`render()` draws one image per world for at most this many worlds."""
 
@@ -47,10 +50,12 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
 
     Args:
         depth_sensor: Errors of the depths that cameras measure, settings of `DepthSensor` by name; none by default.
+        num_cameras: Cameras of observations, 1 (default) to 8, evenly round the vertical through what they look at:
+            "base_camera", "base_camera_1" and so on.
         settings: Those of the classes below.
 
     Raises:
-        ValueError: If there is no such setting, or SAPIEN draws, whose depths are exact.
+        ValueError: If there is no such setting, their number is not allowed, or SAPIEN draws, whose depths are exact.
     """
 
     CAMERA_POSITION = (0.0, -0.7, 1.15)
@@ -75,7 +80,10 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
     _drawn_worlds: range
     """Worlds whose images cameras take: all for observations, one at a time for `render()`."""
 
-    def __init__(self, *, depth_sensor: Mapping[str, float] | None = None, **settings: Any) -> None:
+    def __init__(self, *, depth_sensor: Mapping[str, float] | None = None, num_cameras: int = 1, **settings: Any) -> None:
+        if isinstance(num_cameras, bool) or num_cameras not in range(1, MOST_CAMERAS + 1):
+            raise ValueError(f"num_cameras must be a whole number in 1 ... {MOST_CAMERAS}, got {num_cameras!r}")
+        self._num_cameras = num_cameras
         self._depth_sensor = DepthSensor.from_mapping(depth_sensor)
         if self._depth_sensor is not None and self._render_device_name is not None:
             raise ValueError('depth_sensor needs the rasteriser: choose render_backend="warp"; depths of SAPIEN are exact')
@@ -125,15 +133,19 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        return [self._camera("base_camera", 128, "minimal")]
+        turns = 2.0 * np.pi * np.arange(self._num_cameras) / self._num_cameras
+        names = ["base_camera", *(f"base_camera_{index}" for index in range(1, self._num_cameras))]
+        return [self._camera(name, 128, "minimal", turn) for name, turn in zip(names, turns, strict=True)]
 
     @property
     def _default_human_render_camera_configs(self) -> CameraConfig:
         size = PICTURE_SIZE if self.num_envs <= LARGE_PICTURES else PICTURE_SIZE // 2
         return self._camera("render_camera", size, "default")
 
-    def _camera(self, uid: str, size: int, shader_pack: str) -> CameraConfig:
+    def _camera(self, uid: str, size: int, shader_pack: str, turn: float = 0.0) -> CameraConfig:
         eye, target, fov = self.viewpoint
+        if turn:
+            eye = target + trimesh.transformations.rotation_matrix(turn, [0.0, 0.0, 1.0])[:3, :3] @ np.subtract(eye, target)
         pose = sapien_utils.look_at(eye=list(eye), target=list(target))
         return CameraConfig(uid, pose=pose, width=size, height=size, fov=fov, near=0.01, far=10.0, shader_pack=shader_pack)
 
@@ -224,25 +236,32 @@ class WorldPictures(EmbodiedWorlds, MeasuredWorlds):
         carriers: dict[str, Any] = {name: link for agent in self._agents for name, link in agent.robot.links_map.items()}
         positions = self.solver.gripper_positions
         carriers |= {f"gripper_{index}": GripperMount(positions, index) for index in range(self.num_grippers)}
+        for index, agent in enumerate(self._agents if self.scene.arms is not None else ()):
+            carriers |= {f"arm_{index}/{link}": LinkMount(agent.robot, link) for link in link_frames(agent.robot)}
         sensor = self._depth_sensor
-        return view, {
+        cameras = {
             uid: RasterCamera(config, view, carriers, sensor, partial(self.observation_seeds, index))
             for index, (uid, config) in enumerate(configs.items())
         }
+        self._raster_cameras += cameras.values()
+        return view, cameras
 
     def _has_random_observations(self) -> bool:
         """Tell whether anything in observations is random."""
         return self._depth_sensor is not None
 
-    def _set_up_random_observations(self) -> None:
-        self._observation_noise = (
-            self.episode_tensor("observation_noise", kind="scalar") if self._has_random_observations() else None
-        )
+    def _set_up_observations(self) -> None:
+        """Begin anew with cameras and random numbers, before cameras are set up."""
+        self._raster_cameras: list[RasterCamera] = []
+        is_random = self._has_random_observations()
+        self._observation_noise = self.episode_tensor("observation_noise", kind="scalar") if is_random else None
 
     def _start_observing(self, worlds: torch.Tensor) -> None:
         if self._observation_noise is not None:
             (draws,) = self.draw_uniform(worlds, 1)
             self._observation_noise[worlds] = draws[:, 0]
+        for camera in self._raster_cameras:
+            camera.check_place(worlds)
 
     def observation_seeds(self, stream: int) -> torch.Tensor:
         """Return a seed for what is random in an observation of each world now, (B,) int32; another one for another stream."""
