@@ -52,7 +52,7 @@ def session(browser):
         port = probe.getsockname()[1]
     options = {"env_id": "ClothFolding-v1", "env_kwargs": ("resolution=100",), "agent": "zero", "sim_backend": "cpu"}
     with Session(PlayConfig(port=port, **options)) as session:
-        session.player.repeats = False
+        session.player.repeats, session.player.speed = False, 0.5  # slower, for browsers that draw without a GPU
         session.start()
         open_page(browser, session)
         yield session
@@ -167,10 +167,14 @@ def test_a_gizmo_leads_its_gripper(browser, session, start):
     start("teleop")
     solver, agent = session.player.base.solver, session.player.agent
     before = on_player(session, solver.gripper_positions[0].clone)
-    # An arrow is taken off the middle of the gizmo, along the axis that points up.
-    hold(browser, pixel_of(browser, session, before[0].numpy() + [0.0, 0.0, 0.5 * SIZE]), (0, -60))
-    wait_for(lambda: on_player(session, lambda: float(agent.targets[0, 2])) > float(before[0, 2]) + 0.02)
-    webdriver.ActionChains(browser).release().perform()
+
+    def pull_up() -> bool:
+        """Take an arrow of the gizmo off its middle, along the axis that points up; a slow page may not show it yet."""
+        hold(browser, pixel_of(browser, session, before[0].numpy() + [0.0, 0.0, 0.5 * SIZE]), (0, -60))
+        webdriver.ActionChains(browser).release().perform()
+        return on_player(session, lambda: float(agent.targets[0, 2])) > float(before[0, 2]) + 0.02
+
+    wait_for(pull_up)
     wait_for(lambda: on_player(session, lambda: float(solver.gripper_positions[0, 0, 2])) > float(before[0, 2]) + 0.02)
     assert on_player(session, lambda: (agent.targets[1] - before[1]).abs().max()) < 1e-5
 
