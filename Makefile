@@ -19,7 +19,7 @@ demo: install
 
 # One process per core, at most four: every one compiles or loads its kernels.
 test: install
-	$(BIN)/python -m pytest -m "not slow and not browser" -n auto --maxprocesses 4 --dist worksteal
+	$(BIN)/python -m pytest -m "not slow and not browser and not release and not external" -n auto --maxprocesses 4 --dist worksteal
 
 lint: install
 	$(BIN)/ruff check .

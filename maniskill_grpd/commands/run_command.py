@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import io
 import itertools
 import sys
@@ -12,16 +13,27 @@ from typing import Any, TypeVar
 
 import tyro
 
+from maniskill_grpd.extras import MissingExtraError
 from maniskill_grpd.learning import CheckpointError, NonFiniteError
 from maniskill_grpd.program import PROGRAM
 
 Config = TypeVar("Config")
 
-USER_ERRORS = (ValueError, OSError, CheckpointError, NonFiniteError)
+USER_ERRORS = (ValueError, OSError, CheckpointError, NonFiniteError, MissingExtraError)
 """What the library raises where the user can help: the message says what was given and what is allowed."""
 
 SIDES, RULES = " │", "─-"
 """Sides of the frame that tyro draws around its messages, and what separates their parts, with and without Unicode."""
+
+
+REMEDIES = {
+    **dict.fromkeys(
+        (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR),
+        "if that was to be written, work in a folder where you may write; caches go where WARP_CACHE_PATH and XDG_CACHE_HOME say",
+    ),
+    errno.ENOSPC: "free some space, or work in a folder of another disk",
+}
+"""What a user can do about errors of the system."""
 
 
 class UsageError(Exception):
@@ -102,5 +114,7 @@ def _unframed(text: str) -> str:
 
 
 def _report(error: Exception, code: int) -> int:
-    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    remedy = REMEDIES.get(error.errno) if isinstance(error, OSError) else None
+    message = f"{error}; {remedy}" if remedy else str(error)
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
     return code

@@ -5,7 +5,7 @@ maniskill-grpd sweep --name rivals --grid algorithm=bpp,ppo seed=1,2,3 --jobs 2 
 What stands behind -- goes to `train` in every run; runs/rivals/ gets one folder per combination. The same command again goes on
 where a stopped sweep was: finished runs are left alone, interrupted ones resume from their last checkpoint. On Slurm (--launcher
 slurm --slurm slurm_partition=gpu gpus_per_node=1 timeout_min=600) jobs that are preempted or out of time are queued again and
-resume, too; needs submitit: pip install submitit
+resume, too; needs submitit: pip install 'maniskill-grpd[sweep]'
 """
 
 from __future__ import annotations

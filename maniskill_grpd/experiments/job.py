@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
+import os
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +15,7 @@ from typing import Literal
 from maniskill_grpd.experiments.records import TEST_FOLDER, is_played
 from maniskill_grpd.experiments.training import Training
 from maniskill_grpd.program import command_line, process_arguments
+from maniskill_grpd.runs.file_lock import try_lock
 from maniskill_grpd.runs.stop_request import SIGNALS
 
 LOCK_FOLDER = ".locks"
@@ -173,8 +174,9 @@ def _run_command(job: Job, words: Sequence[str], num_processes: int, start: Star
         log.write(f"\n$ {command_line(words)}\n".encode())
         log.flush()
         arguments = process_arguments(words, num_processes)
-        # With the lock in its hands a command that outlives this process still keeps others away.
-        return start(arguments, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, pass_fds=(lock,)).wait()
+        # With the lock in its hands a command that outlives this process still keeps others away. Windows knows no such thing.
+        inherited = {"pass_fds": (lock,)} if os.name == "posix" else {}
+        return start(arguments, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, **inherited).wait()
 
 
 @contextlib.contextmanager
@@ -187,17 +189,9 @@ def hold_lock(job: Job, is_stopping: Callable[[], bool] = lambda: False) -> Iter
     folder = job.folder.parent / LOCK_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / job.name).open("w") as file:
-        while not _try_lock(file.fileno()):
+        while not try_lock(file.fileno()):
             if is_stopping():
                 yield None
                 return
             time.sleep(LOCK_POLL_SECONDS)
         yield file.fileno()
-
-
-def _try_lock(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import torch
 
 from maniskill_grpd.experiments.job import Job, run_job
+from maniskill_grpd.extras import import_extra
 from maniskill_grpd.learning.options import parse_options, require_positive
 
 SLURM_DEFAULTS = {"timeout_min": 24 * 60, "cpus_per_task": 2, "name": "maniskill_grpd"}
@@ -118,16 +119,14 @@ class SlurmLauncher(Launcher):
         cluster: Submitit's name of the cluster; "local" tries a submission without one.
 
     Raises:
-        ValueError: If submitit is not installed, there is no Slurm here, or a parameter is not known.
+        MissingExtraError: Without submitit.
+        ValueError: If there is no Slurm here, or a parameter is not known.
     """
 
     def __init__(
         self, folder: Path, num_jobs: int | None = None, parameters: Mapping[str, Any] | None = None, cluster: str = "slurm"
     ) -> None:
-        try:
-            import submitit  # optional
-        except ImportError as error:
-            raise ValueError("--launcher slurm needs submitit: pip install submitit") from error
+        submitit = import_extra("submitit", "sweep", "--launcher slurm")
         self.num_jobs = num_jobs or SLURM_JOBS
         try:
             self._executor = submitit.AutoExecutor(folder.absolute(), cluster=cluster)

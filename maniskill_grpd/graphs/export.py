@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Mapping
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from maniskill_grpd.extras import import_extra
 from maniskill_grpd.graphs.schema import NODE_TYPES, GraphSchema
 
 if TYPE_CHECKING:
@@ -42,12 +41,12 @@ def to_hetero_data(graph: Mapping[str, Any], schema: GraphSchema) -> HeteroData:
         schema: What it holds.
 
     Raises:
-        ImportError: Without torch_geometric.
+        MissingExtraError: Without torch_geometric.
         ValueError: If the graph does not fit the schema.
     """
-    geometric = _import("torch_geometric", "pyg")
+    hetero_data = import_extra("torch_geometric.data", "pyg", "exporting graphs")
     schema.validate(graph)
-    data = geometric.data.HeteroData()
+    data = hetero_data.HeteroData()
     for node_type in NODE_TYPES:
         _store_nodes(data[node_type], graph[node_type])
     objects, actuators = graph["object"]["mask"], graph["actuator"]["mask"]
@@ -108,10 +107,10 @@ def to_networkx(graph: Mapping[str, Any], schema: GraphSchema, index: int = 0) -
         index: Which graph of the batch.
 
     Raises:
-        ImportError: Without networkx.
+        MissingExtraError: Without networkx.
         ValueError: If the graph does not fit the schema.
     """
-    networkx = _import("networkx", "networkx")
+    networkx = import_extra("networkx", "networkx", "exporting graphs")
     schema.validate(graph)
     result = networkx.DiGraph()
     present = {t: graph[t]["mask"][index].nonzero().flatten().tolist() for t in NODE_TYPES}
@@ -217,15 +216,3 @@ def _dense_neighbors(edge_index: torch.Tensor, batch: torch.Tensor, mask: torch.
     neighbors = torch.full((*mask.shape, width), -1, dtype=torch.int64, device=mask.device)
     neighbors[batch[receivers], place[receivers], column] = place[senders]
     return neighbors
-
-
-def _import(name: str, extra: str) -> ModuleType:
-    """Import an optional package, or say how to install it."""
-    try:
-        if name == "torch_geometric":
-            importlib.import_module("torch_geometric.data")
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ImportError(
-            f"exporting graphs needs {name}; install it with: pip install 'maniskill-grpd[{extra}]'  (or: pip install {name})"
-        ) from error

@@ -9,6 +9,7 @@ from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
+from maniskill_grpd.extras import import_extra
 from maniskill_grpd.learning.config import TrainConfig
 
 ROW_KEYS = {"kind", "iteration", "global_step"}
@@ -119,10 +120,7 @@ def _parse_rows(path: Path) -> tuple[list[dict[str, Any]], list[int]]:
 
 
 def _start_wandb(run_dir: Path, config: TrainConfig) -> Any:
-    try:
-        import wandb  # optional, and slow to import
-    except ImportError as error:
-        raise RuntimeError("--track needs Weights & Biases: pip install wandb") from error
+    wandb = import_extra("wandb", "track", "--track")
     return wandb.init(
         project=config.wandb_project_name,
         entity=config.wandb_entity,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -26,18 +26,31 @@ from maniskill_grpd.runs.video import record_video
 RUN_DIR = RUNS / "demo"
 
 
+SIZES = {
+    False: {"total_timesteps": 64_000, "num_episodes": 64, "num_videos": 4},
+    True: {"total_timesteps": 12_800, "num_episodes": 16, "num_videos": 1},
+}
+"""What the options are where the command line is silent, without and with `--quick`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class DemoConfig:
     """Options of the demonstration."""
 
-    total_timesteps: int = 64_000
-    """environment steps to train for"""
-    num_episodes: int = 64
-    """episodes, on unseen seeds, of the evaluations before and after"""
-    num_videos: int = 4
-    """episodes in the video"""
+    quick: bool = False
+    """take about a minute: a fifth of the steps, fewer episodes and pictures"""
+    total_timesteps: int | None = None
+    """environment steps to train for: 64,000, or 12,800 if quick"""
+    num_episodes: int | None = None
+    """episodes, on unseen seeds, of the evaluations before and after: 64, or 16 if quick"""
+    num_videos: int | None = None
+    """episodes in the video: 4, or 1 if quick"""
     seed: int = 1
     """seed of the training"""
+
+    def with_sizes(self) -> DemoConfig:
+        """Return these options with all sizes filled in."""
+        return replace(self, **{name: size for name, size in SIZES[self.quick].items() if getattr(self, name) is None})
 
 
 def demonstrate(config: DemoConfig) -> dict[str, float]:
@@ -47,6 +60,7 @@ def demonstrate(config: DemoConfig) -> dict[str, float]:
         The summary that metrics.json holds.
     """
     start = time.perf_counter()
+    config = config.with_sizes()
     # The folder is this script's own; a curve of two runs on top of each other would mislead.
     shutil.rmtree(RUN_DIR, ignore_errors=True)
     options = TrainConfig(

@@ -1,11 +1,12 @@
-"""Where runs lie. Imports nothing of the package, so that a run can be named without the simulator."""
+"""Where runs lie. Imports no simulator, so that a run can be named without one."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
 from collections.abc import Iterator
 from pathlib import Path
+
+from maniskill_grpd.runs.file_lock import try_lock
 
 RUNS = Path("runs")
 """Folder of all runs, below the present one."""
@@ -31,12 +32,8 @@ def hold_run(run_dir: Path) -> Iterator[None]:
     """
     run_dir.mkdir(parents=True, exist_ok=True)
     with (run_dir / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise RunInUseError(
-                f"another process works at {run_dir}; wait for it, stop it, or choose another --exp_name"
-            ) from None
+        if not try_lock(file.fileno()):
+            raise RunInUseError(f"another process works at {run_dir}; wait for it, stop it, or choose another --exp_name")
         yield
 
 

@@ -8,6 +8,8 @@ import io
 import socket
 from typing import TYPE_CHECKING
 
+from maniskill_grpd.extras import import_extra
+
 if TYPE_CHECKING:
     import viser
 
@@ -26,15 +28,13 @@ def open_server(host: str = HOST, port: int = PORT) -> viser.ViserServer:
         port: Wanted port, 1 to 65535.
 
     Raises:
-        ValueError: If viser is missing, the port is none, or the address is not one of this machine.
+        MissingExtraError: Without viser.
+        ValueError: If the port is none, or the address is not one of this machine.
         OSError: If no port is free.
     """
     if not 1 <= port <= 65535:
         raise ValueError(f"port must be in [1, 65535], got {port}")
-    try:
-        import viser
-    except ModuleNotFoundError as error:
-        raise ValueError(f"the viewer needs {error.name}: pip install 'maniskill_grpd[viewer]'") from None
+    viser = import_extra("viser", "viewer", "the viewer")
     free = _free_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):  # a greeting of its own
         server = viser.ViserServer(host=host, port=free, verbose=False)

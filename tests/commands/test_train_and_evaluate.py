@@ -227,6 +227,12 @@ def test_demo_summary_compares_before_and_after():
     assert summary["success_after"] == 0.5
 
 
+def test_a_quick_demo_is_smaller_where_the_command_line_is_silent():
+    assert demo.DemoConfig().with_sizes().total_timesteps == 64_000
+    quick = demo.DemoConfig(quick=True, num_episodes=5).with_sizes()
+    assert (quick.total_timesteps, quick.num_episodes, quick.num_videos) == (12_800, 5, 1)
+
+
 @pytest.mark.slow
 def test_demo_writes_everything(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -10,6 +10,7 @@ import pytest
 from maniskill_grpd.experiments.job import Job, hold_lock
 from maniskill_grpd.experiments.launchers import LauncherConfig, LocalLauncher, SlurmLauncher
 from maniskill_grpd.experiments.training import Training
+from maniskill_grpd.extras import MissingExtraError
 from maniskill_grpd.learning import TrainConfig
 
 
@@ -56,7 +57,7 @@ def test_stopping_ends_the_processes_and_is_no_failure():
 
 def test_slurm_without_submitit_says_what_to_install(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "submitit", None)
-    with pytest.raises(ValueError, match="pip install submitit"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'maniskill-grpd\[sweep\]'"):
         LauncherConfig(launcher="slurm").make_launcher(folder)
 
 

@@ -8,6 +8,7 @@ import torch
 from toy_env import ToyEnv, ToyPolicy
 from toy_run import CONFIG, make_toy_trainer
 
+from maniskill_grpd.extras import MissingExtraError
 from maniskill_grpd.learning import CheckpointError, NonFiniteError, TrainConfig, Trainer, load_checkpoint
 from maniskill_grpd.learning.episode_seeds import FIRST_TRAINING_SEED, episode_seeds
 from maniskill_grpd.learning.run_log import read_rows
@@ -274,5 +275,5 @@ def test_a_wrong_number_of_environments_is_refused(tmp_path):
 def test_tracking_without_wandb_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "wandb", None)
     trainer = make_toy_trainer(tmp_path, dataclasses.replace(CONFIG, track=True))
-    with pytest.raises(RuntimeError, match="pip install wandb"):
+    with pytest.raises(MissingExtraError, match=r"--track needs wandb: pip install 'maniskill-grpd\[track\]'"):
         trainer.train()
