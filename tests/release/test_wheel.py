@@ -11,6 +11,7 @@ from email.parser import HeaderParser
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 pytestmark = pytest.mark.release
 pytest.importorskip("mani_skill")
@@ -85,7 +86,8 @@ def test_a_wheel_is_the_package_and_nothing_else(built):
     assert "maniskill-grpd = maniskill_grpd.commands:main" in scripts
     assert set(metadata.get_all("Provides-Extra")) == EXTRAS
     assert metadata["License-Expression"] == "Apache-2.0"
-    assert metadata["Requires-Python"] == ">=3.10"
+    supported = SpecifierSet(metadata["Requires-Python"])
+    assert [f"3.{minor}" for minor in range(8, 16) if f"3.{minor}" in supported] == ["3.10", "3.11", "3.12"]
 
 
 def test_a_source_distribution_has_no_tests(built):
@@ -97,15 +99,6 @@ def test_a_source_distribution_has_no_tests(built):
 
 def test_the_papers_of_both_are_in_order(built):
     run(sys.executable, "-m", "twine", "check", "--strict", *built, folder=ROOT)
-
-
-def test_a_python_that_is_too_old_is_refused_in_one_line(built, tmp_path):
-    words = ["install", "--no-index", "--only-binary=:all:", "--python-version", "3.9", "--target", "there"]
-    result = subprocess.run(
-        [sys.executable, "-m", "pip", *words, str(built[0])], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert result.returncode == 1
-    assert "requires a different Python: 3.9" in result.stderr
 
 
 def test_all_tasks_are_made_from_an_empty_folder(installed, tmp_path):
