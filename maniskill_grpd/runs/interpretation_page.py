@@ -28,7 +28,10 @@ mean action when the node moves and its goal stays; *contribution*: what the act
 graph. *Alike*: how far the features of the group's nodes after message passing are from each other, over how far from all others;
 below 1 they cluster. Untrained: the same network with fresh weights, which shows what is learned and what lies in the graph. The
 paper (B.F) says that grippers focus on near nodes and corners, that nodes on fold lines have similar features, and that every
-action is influenced by a large part of the object."""
+action is influenced by a large part of the object.
+
+One policy each is an example, not a statistic. Checkpoints are of the code that trained them; the code named is that which played
+them."""
 KINDS_OF_PICTURES = ("sensitivity", "contribution", "embedding")
 
 
