@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from maniskill_grpd.rendering import palette
 from maniskill_grpd.tasks.pictures.dragging import REACH, Dragging
 from maniskill_grpd.tasks.pictures.world_parts import WorldParts
 from maniskill_grpd.viewer.drag import Drag
@@ -74,6 +75,7 @@ def test_obstacles_that_move_are_the_same_mesh_elsewhere(hanging):
     second = parts.parts()
     assert isinstance(second[name], Copies)
     assert second[name].vertices is first[name].vertices
+    assert {second[name].look.front for name in second if name.startswith("solids/")} == {palette.SOLID}
     for index, solid in enumerate(hanging.checked_drawing(0).solids):
         part = second[f"solids/0/{index}"]
         middle, half_turn = part.rotations[0, 1:], part.rotations[0, 0]

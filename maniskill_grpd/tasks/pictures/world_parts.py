@@ -144,7 +144,7 @@ class WorldParts:
                     self._solids[name] = (first, placed)
                 return placed
         surface = surface_of(solid)
-        placed = _copies(surface, Look(palette.SOLID), offset[None])
+        placed = _copies(surface, Look(solid.color), offset[None])
         self._solids[name] = (solid, placed)
         return placed
 
