@@ -120,6 +120,7 @@ class WorldGroups:
         self.data.element_centers, self.data.element_radii = self._vectors(self.count, count), self._numbers(self.count, count)
         self.data.block_centers, self.data.block_radii = self._vectors(self.count, blocks), self._numbers(self.count, blocks)
         self.data.anchors, self.data.touching = self._vectors(self.count, nodes), self._numbers(self.count, nodes)
+        self.data.searched = self._numbers(self.count, 1)
         threads = 1 if self.in_lanes else LARGE_BLOCK_DIM
         self.data.lowest_motions = self._vectors(self.count, threads)
         self.data.highest_motions = self._vectors(self.count, threads)

@@ -15,7 +15,7 @@ from maniskill_grpd.physics.model import Model
 
 # Distance beyond the thickness up to which a search for contact of an object with itself finds: in mean edge lengths, so that
 # neighbours in a flat mesh are not found, and at least and at most in thicknesses.
-EDGE_MARGIN, LEAST_MARGIN, LARGEST_MARGIN = 0.35, 0.25, 2.5
+EDGE_MARGIN, LEAST_MARGIN, LARGEST_MARGIN = 0.2, 0.25, 2.5
 
 
 def choose_features(models: Sequence[Model], colliders: Sequence[Collider], self_collision: bool, has_links: bool) -> Features:

@@ -1,8 +1,8 @@
 """The list of pairs of elements of one object that may come to touch, called by the fused kernel.
 
 The list is laid out owner by owner and element by element. It outlives control steps: it is complete until nodes have come closer
-to each other than it reaches, and then it is made anew for all worlds of a group. What is computed does not depend on when that
-was, since a pair acts only by what the positions say (`self_contact`): a list may be longer than needed, never too short.
+to each other than it reaches, and then it is made anew. What is computed does not depend on when that was, since a pair acts only
+by what the positions say (`self_contact`): a list may be longer than needed, never too short.
 """
 
 from typing import Any
@@ -72,15 +72,26 @@ def measure_motion(thread: Thread, objects: Objects, groups: Any, contacts: Self
 
 
 @wp.func
-def is_complete(thread: Thread, worlds: Worlds, groups: Any, contacts: SelfContacts) -> bool:
-    """Return whether in all worlds of a group the list still has every pair that has to be looked at."""
+def is_complete(world: int, worlds: Worlds, contacts: SelfContacts) -> bool:
+    """Return whether the list of a world still has every pair that has to be looked at."""
+    needed = contacts.travels[world] + contacts.slacks[world] + ROUNDING
+    return worlds.frozen[world] or needed < contacts.reaches[world]
+
+
+@wp.func
+def ask_for_lists(thread: Thread, worlds: Worlds, groups: Any, contacts: SelfContacts) -> bool:
+    """Mark the worlds of a group whose list has to be made anew; return whether there are any."""
+    asks = bool(False)
     for lane in range(groups.counts[thread.group]):
-        world = groups.members[thread.group, lane]
-        if not worlds.frozen[world] and not (
-            contacts.travels[world] + contacts.slacks[world] + ROUNDING < contacts.reaches[world]
-        ):
-            return False
-    return True
+        if not is_complete(groups.members[thread.group, lane], worlds, contacts):
+            asks = True
+    if thread.first == 0:
+        groups.searched[thread.group, 0] = spread(groups.searched[thread.group, 0], -FAR)
+        for lane in range(groups.counts[thread.group]):
+            if not is_complete(groups.members[thread.group, lane], worlds, contacts):
+                put(groups.searched, thread.group, 0, lane, 0.0)
+    synchronize_block()
+    return asks
 
 
 @wp.func
@@ -153,19 +164,21 @@ def list_pairs(thread: Thread, lane: int, objects: Objects, groups: Any, contact
         element = contacts.elements[world, pair]
         contacts.pair_nodes[world, pair] = contact_nodes(variant, owner, element, objects)
         contacts.pair_thicknesses[world, pair] = contact_thickness(variant, owner, element, objects)
-        contacts.pair_normals[world, pair] = recall_normal(world, owner, element, contacts)
+        normal = wp.vec3(0.0, 0.0, 0.0)
+        if contacts.wakes[world, pair] < contacts.slacks[world] + ROUNDING:  # what is asleep remembers no side
+            normal = recall_normal(world, owner, element, contacts)
+        contacts.pair_normals[world, pair] = normal
         contacts.pair_distances[world, pair] = 0.0
     synchronize_block()
 
 
 @wp.func
 def update_pairs(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
-    """Make the lists of all worlds of a group anew if one of them may lack a pair."""
-    if not is_complete(thread, worlds, groups, contacts):
-        synchronize_block()
-        find_pairs(thread, objects, worlds, groups, contacts)
+    """Make the lists anew of those worlds of a group that may lack a pair."""
+    if ask_for_lists(thread, worlds, groups, contacts):
+        find_pairs(thread, objects, groups, contacts)
         for lane in range(groups.counts[thread.group]):
-            if not worlds.frozen[groups.members[thread.group, lane]]:
+            if pick(groups.searched, thread.group, 0, lane) == 0.0:
                 list_pairs(thread, lane, objects, groups, contacts)
 
 

@@ -11,15 +11,15 @@ from typing import Any
 import warp as wp
 
 from maniskill_grpd.physics.kernels.block import synchronize_block
-from maniskill_grpd.physics.kernels.closest_points import closest_weights
-from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread, Worlds
+from maniskill_grpd.physics.kernels.closest_points import closest_on_edges, closest_on_triangle
+from maniskill_grpd.physics.kernels.data import Objects, SelfContacts, Thread
 from maniskill_grpd.physics.kernels.lane_access import component
-from maniskill_grpd.physics.kernels.lanes import add, any_positive, div, greater, inner, mul, root, spread, sub  # noqa: F401 (operators on lanes)
+from maniskill_grpd.physics.kernels.lanes import add, any_positive, div, greater, inner, lesser, mul, root, spread, sub  # noqa: F401 (operators on lanes)
 
 # Elements in a block that a search passes over as a whole when all of it is too far away.
 BLOCK = wp.constant(16)
 # Elements that one owner can have found.
-SLOTS = wp.constant(24)
+SLOTS = wp.constant(48)
 # Thickness of a contact between parts that lie close together in the material, relative to their distance there: at rest, and
 # also when compressed, they must not touch.
 NEIGHBOR_THICKNESS = wp.constant(0.6)
@@ -149,46 +149,85 @@ def keep_nearest(world: int, owner: int, element: int, gap: float, contacts: Sel
 
 
 @wp.func
-def test_element(
-    thread: Thread,
-    owner: int,
-    own: wp.vec2i,
-    element: int,
-    is_edges: bool,
-    objects: Objects,
-    worlds: Worlds,
-    groups: Any,
-    contacts: SelfContacts,
-):
-    """Find an element in the worlds where it is close to an owner."""
+def exceeds(distance: Any, reach: Any, offset: Any):
+    """Return numbers > 0 where the distance of two things along an offset, times its length, is not beyond a reach."""
+    least = greater(distance, spread(distance, 0.0))
+    return reach * reach * inner(offset, offset) - least * least
+
+
+@wp.func
+def triangle_gap(group: int, node: int, element: int, corners: wp.vec3i, reach: Any, groups: Any):
+    """Return the distance of a node from a triangle, or a number beyond reach if they are apart along the line of centres."""
+    x = groups.positions[group, node]
+    x_0 = groups.positions[group, corners[0]]
+    x_1 = groups.positions[group, corners[1]]
+    x_2 = groups.positions[group, corners[2]]
+    offset = x - groups.element_centers[group, element]
+    nearest = lesser(lesser(inner(x - x_0, offset), inner(x - x_1, offset)), inner(x - x_2, offset))
+    length = reach + reach
+    if any_positive(exceeds(nearest, reach, offset)):
+        u, v, w = closest_on_triangle(x, x_0, x_1, x_2)
+        between = x - x_0 * u - x_1 * v - x_2 * w
+        length = root(inner(between, between))
+    return length
+
+
+@wp.func
+def edge_gap(group: int, own: wp.vec2i, first: int, element: int, corners: wp.vec3i, reach: Any, groups: Any):
+    """Return the distance of two edges, or a number beyond reach if they are apart along the line of their centres."""
+    x_0 = groups.positions[group, own[0]]
+    x_1 = groups.positions[group, own[1]]
+    x_2 = groups.positions[group, corners[0]]
+    x_3 = groups.positions[group, corners[1]]
+    offset = groups.element_centers[group, first] - groups.element_centers[group, element]
+    own_reach = inner(x_1 - x_0, offset)
+    its_reach = inner(x_3 - x_2, offset)
+    own_reach = greater(own_reach, own_reach * -1.0)
+    its_reach = greater(its_reach, its_reach * -1.0)
+    nearest = inner(offset, offset) - (own_reach + its_reach) * 0.5
+    length = reach + reach
+    if any_positive(exceeds(nearest, reach, offset)):
+        along, other = closest_on_edges(x_0, x_1, x_2, x_3)
+        between = x_0 - x_2 + (x_1 - x_0) * along - (x_3 - x_2) * other
+        length = root(inner(between, between))
+    return length
+
+
+@wp.func
+def keep_found(thread: Thread, owner: int, element: int, length: Any, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Keep an element in the worlds that are searched and where its distance from an owner is within reach."""
+    group = thread.group
+    gap = length - spread(length, contact_thickness(thread.variant, owner, element, objects))
+    is_near = spread(gap, objects.contact_margins[thread.variant]) - gap + groups.searched[group, 0]
+    if any_positive(is_near):
+        for lane in range(groups.counts[group]):
+            if component(is_near, lane) > 0.0:
+                keep_nearest(groups.members[group, lane], owner, element, component(gap, lane), contacts)
+
+
+@wp.func
+def test_element(thread: Thread, owner: int, own: wp.vec2i, element: int, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Find an element in the worlds that are searched and where it is close to an owner."""
     group = thread.group
     variant = thread.variant
     corners = objects.elements[objects.element_starts[variant] + element]
     if shares_node(own, corners):
         return
-    x_0 = groups.positions[group, own[0]]
-    x_1 = groups.positions[group, corners[0]]
-    x_2 = groups.positions[group, corners[1]]
-    x_3 = groups.positions[group, corners[2]]
-    if is_edges:
-        x_3 = x_2
-        x_2 = x_1
-        x_1 = groups.positions[group, own[1]]
-    w_0, w_1, w_2, w_3 = closest_weights(is_edges, x_0, x_1, x_2, x_3)
-    between = x_0 * w_0 + x_1 * w_1 + x_2 * w_2 + x_3 * w_3
-    gap = root(inner(between, between)) - spread(w_0, contact_thickness(variant, owner, element, objects))
-    is_near = spread(gap, objects.contact_margins[variant]) - gap
-    if any_positive(is_near):
-        for lane in range(groups.counts[group]):
-            if component(is_near, lane) > 0.0:
-                world = groups.members[group, lane]
-                if not worlds.frozen[world]:
-                    keep_nearest(world, owner, element, component(gap, lane), contacts)
+    reach = spread(groups.weights[group, 0], 2.0 * objects.radii[variant] + objects.contact_margins[variant])
+    if owner < objects.node_counts[variant]:
+        length = triangle_gap(group, owner, element, corners, reach, groups)
+        if any_positive(reach - length + groups.searched[group, 0]):
+            keep_found(thread, owner, element, length, objects, groups, contacts)
+    else:
+        first = objects.face_counts[variant] + owner - objects.node_counts[variant]
+        distance = edge_gap(group, own, first, element, corners, reach, groups)
+        if any_positive(reach - distance + groups.searched[group, 0]):
+            keep_found(thread, owner, element, distance, objects, groups, contacts)
 
 
 @wp.func
-def find_elements(thread: Thread, owner: int, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
-    """Find the elements that are close to an owner, in all worlds of a group."""
+def find_elements(thread: Thread, owner: int, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Find the elements that are close to an owner, in the worlds of a group that are searched."""
     group = thread.group
     variant = thread.variant
     margin = objects.contact_margins[variant]
@@ -214,18 +253,18 @@ def find_elements(thread: Thread, owner: int, objects: Objects, worlds: Worlds, 
     for block in range(first_block, end_block):
         offset = x - groups.block_centers[group, block]
         far = reach + groups.block_radii[group, block]
-        if any_positive(far * far - inner(offset, offset)):
+        if any_positive(far * far - inner(offset, offset) + groups.searched[group, 0]):
             span = block_elements(variant, block, objects)
             for element in range(wp.max(first, span[0]), span[1]):
                 offset = x - groups.element_centers[group, element]
                 far = reach + groups.element_radii[group, element]
-                if any_positive(far * far - inner(offset, offset)):
-                    test_element(thread, owner, own, element, is_edges, objects, worlds, groups, contacts)
+                if any_positive(far * far - inner(offset, offset) + groups.searched[group, 0]):
+                    test_element(thread, owner, own, element, objects, groups, contacts)
 
 
 @wp.func
-def find_pairs(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, contacts: SelfContacts):
-    """Find for all owners in all worlds of a group what is close to them."""
+def find_pairs(thread: Thread, objects: Objects, groups: Any, contacts: SelfContacts):
+    """Find for all owners what is close to them, in those worlds of a group where `searched` is 0 and not far below it."""
     variant = thread.variant
     num_faces = objects.face_counts[variant]
     num_elements = objects.element_starts[variant + 1] - objects.element_starts[variant]
@@ -238,5 +277,5 @@ def find_pairs(thread: Thread, objects: Objects, worlds: Worlds, groups: Any, co
     synchronize_block()
     num_owners = objects.node_counts[variant] + num_elements - num_faces
     for owner in range(thread.first, num_owners, thread.stride):
-        find_elements(thread, owner, objects, worlds, groups, contacts)
+        find_elements(thread, owner, objects, groups, contacts)
     synchronize_block()

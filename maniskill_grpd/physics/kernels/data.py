@@ -254,6 +254,7 @@ def _groups(number: type, vector: type) -> type:
         anchors: wp.array2d(dtype=vector)  # see `SelfContacts`
         lowest_motions: wp.array2d(dtype=vector)  # of the nodes of each thread, by component
         highest_motions: wp.array2d(dtype=vector)
+        searched: wp.array2d(dtype=number)  # 0 for worlds whose list is made anew, far below it for the others
         touching: wp.array2d(dtype=number)  # 1 for nodes of pairs that are near
         upper: wp.array2d(dtype=number)
         carried: wp.array2d(dtype=number)  # impulses that pull the ends of the edges of a sheet together in every substep

@@ -124,3 +124,38 @@ def test_contacts_without_room_are_counted_until_the_reset():
     assert solver.dropped_contacts[1] > 0
     solver.reset(torch.tensor([1]))
     assert solver.dropped_contacts.tolist() == [0, 0]
+
+
+def crumpled_cloths(num_worlds: int) -> torch.Tensor:
+    """Return where cloths are whose corners two grippers have moved to and fro at full speed."""
+    model = cloth(square_outline(0.3), num_nodes=64)
+    solver = Solver(model, num_worlds, 2, self_collision=True)
+    corners = torch.as_tensor(model.node_sets["corners"][:2])
+    solver.reset(torch.arange(num_worlds), solver.positions + torch.tensor([0.0, 0.0, 0.1]), gripper_nodes=corners)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(30):
+        motion = torch.randn(32, 2, 3, generator=generator)[:num_worlds]
+        solver.gripper_targets += 0.03 * motion / motion.norm(dim=-1, keepdim=True)
+        solver.step()
+    assert solver._uploaded[-1].masses.numpy().any()
+    return solver.positions
+
+
+def test_when_pairs_are_searched_changes_no_bit(monkeypatch):
+    """Lists that reach twice as far are made less often, and hold more; what acts follows from positions alone."""
+    positions = crumpled_cloths(20)
+    monkeypatch.setattr("maniskill_grpd.physics.upload.EDGE_MARGIN", 0.4)
+    assert torch.equal(positions, crumpled_cloths(20))
+    assert torch.equal(positions[:3], crumpled_cloths(3))
+
+
+def test_held_ends_that_meet_throw_nothing():
+    """Two grippers bring the ends of a rope to one point: what is held almost entirely does not push the free rest away."""
+    model = rope(np.linspace([-0.2, 0.0, 0.1], [0.2, 0.0, 0.1], 21), num_nodes=21)
+    solver = Solver(model, 1, 2, self_collision=True)
+    solver.reset(torch.tensor([0]), gripper_nodes=torch.tensor([0, 20]))
+    for step in range(80):
+        solver.gripper_targets[0, :, 0] = torch.tensor([-0.2, 0.2]) * max(0.0, 1.0 - step / 40.0)
+        solver.step()
+        assert not solver.frozen.any()
+        assert solver.velocities.norm(dim=-1).max() < 3.0
