@@ -267,6 +267,8 @@ def _slug(name: str, options: Options) -> str:
 
 def _plain(value: Any) -> str:
     """Return a value without the characters that file names and tables do not take."""
+    if isinstance(value, Mapping):
+        return "+".join(f"{key}-{_plain(entry)}" for key, entry in value.items())
     if isinstance(value, (list, tuple)):
         return "+".join(_plain(entry) for entry in value)
     return "all" if value is None else str(value)

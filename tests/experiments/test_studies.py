@@ -181,6 +181,8 @@ def test_seeds_of_pilots_are_no_results():
 def test_a_run_is_named_by_all_that_determines_it():
     run = Run(task=Task(env_id="T-v1", options={"shapes": ["a", "b"], "n": 3}), arm=Arm(name="x"), seed=2, budget=500)
     assert run.name == "T-v1,n=3,shapes=a+b__grpd__bpp__500__s2"
+    seen = dataclasses.replace(run, task=Task(env_id="T-v1", options={"sensor_configs": {"fov": 0.4, "width": 64}}))
+    assert seen.name == "T-v1,sensor_configs=fov-0.4+width-64__grpd__bpp__500__s2"
     for change in ({"seed": 3}, {"budget": 600}, {"train_options": {"gamma": 0.9}}, {"arm": Arm(name="x", algorithm="ppo")}):
         assert dataclasses.replace(run, **change).name != run.name
     assert dataclasses.replace(run, arm=Arm(name="y")).name == run.name
