@@ -42,6 +42,11 @@ def make_env(config: TrainConfig, num_envs: int, **options: Any) -> gym.Env:
         enhanced_determinism=True,
         **given,
     )
+    return join_actions(env)
+
+
+def join_actions(env: gym.Env) -> gym.Env:
+    """Let an environment take the actions of several agents side by side, in their order; others are returned as they are."""
     return FlattenActionSpaceWrapper(env) if isinstance(env.action_space, gym.spaces.Dict) else env
 
 

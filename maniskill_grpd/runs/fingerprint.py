@@ -25,7 +25,7 @@ from mani_skill.vector.wrappers.gymnasium import ManiSkillVectorEnv
 
 from maniskill_grpd.learning import TrainConfig, Trainer
 from maniskill_grpd.policies import make_policy
-from maniskill_grpd.runs.environments import make_vector_env
+from maniskill_grpd.runs.environments import join_actions, make_vector_env
 from maniskill_grpd.runs.policy_options import fit_policy_options
 from maniskill_grpd.runs.source import fingerprint_code
 
@@ -110,7 +110,7 @@ def hash_trajectories(env: gym.Env, num_steps: int) -> str:
 
 def _roll_out(env: gym.Env, num_steps: int) -> list[tuple[list[torch.Tensor], list[torch.Tensor]]]:
     """Return, for the reset and every step, what is observed, rewards included, and the positions of all nodes after it."""
-    base = env.unwrapped
+    base, env = env.unwrapped, join_actions(env)
     generator = torch.Generator().manual_seed(7)
     obs, _ = env.reset(seed=11)
     steps = [([value.clone() for value in tensors(obs)], [])]

@@ -33,6 +33,11 @@ def test_what_does_the_same_has_the_same_fingerprint(fingerprint):
     assert describe_task(TASK) == {"progress": {"name": "mean_distance", "unit": "m"}, "fingerprint": without}
 
 
+def test_teams_of_agents_do_what_one_agent_does(fingerprint):
+    pair = 'robot_uids=["floating_grippers_1", "floating_grippers_1"]'
+    assert changes(dataclasses.replace(TASK, env_kwargs=("resolution=20", pair, "num_threads=1")), fingerprint) == set()
+
+
 def test_taking_a_fingerprint_leaves_the_random_numbers_of_the_run():
     torch.manual_seed(3)
     expected = torch.rand(4)

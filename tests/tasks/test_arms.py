@@ -148,6 +148,33 @@ def test_arms_move_with_their_worlds(make_arms):
     torch.testing.assert_close(moved.solver.gripper_positions, expected, atol=2e-4, rtol=0)
 
 
+def test_scenes_that_turn_without_their_bases_go_elsewhere(make_arms):
+    """Negative control of the above: bases and gravity belong to the scene."""
+    for left_behind in ("bases", "gravity"):
+        plain, moved = make_arms("RopeWrapping-v1"), make_arms("RopeWrapping-v1")
+        plain.reset(seed=5), moved.reset(seed=5)
+        rotation = torch.as_tensor(Rotation.from_rotvec([0.4, 0.0, 0.3]).as_matrix(), dtype=torch.float32)
+        kept = (moved.scene.arms.bases if left_behind == "bases" else moved.solver.gravity).clone()
+        moved.move_worlds(rotation, torch.zeros(3))
+        (moved.scene.arms.bases if left_behind == "bases" else moved.solver.gravity).copy_(kept)
+        for step in range(5):
+            actions = act(plain, step, 0.4)
+            plain.step(actions), moved.step({key: value @ rotation.T for key, value in actions.items()})
+        gaps = (moved.solver.positions - plain.solver.positions @ rotation.T).norm(dim=-1)
+        assert gaps.max() > 5e-3
+
+
+def test_what_pulls_harder_than_the_grip_slips_out_of_hands_too(make_arms):
+    env = make_arms("ClothHanging-v1", 2, ("panda",) * 4, grip_strength=0.05, resolution=49)
+    env.reset(seed=0)
+    still = {key: torch.zeros(space.shape) for key, space in env.action_space.items()}
+    for _ in range(5):
+        *_, info = env.step(still)
+    assert info["slips"].shape == (2, 4)
+    assert (info["slips"] > 0).all()
+    assert (env.solver.gripper_nodes == -1).all()
+
+
 def test_arms_are_observed_as_maniskill_observes_them(make_arms):
     env = make_arms("ClothFolding-v1", obs_mode="state_dict")
     obs, _ = env.reset(seed=0)

@@ -8,6 +8,7 @@ from typing import Any
 
 from tests.physics.validation.record import Check
 from tools.docs import benchmark_pages, physics_validation
+from tools.docs.arm_tables import robots_page
 from tools.docs.task_cards import tasks_page
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -26,6 +27,7 @@ def pages() -> dict[str, str]:
         "benchmarks/policy.md": benchmark_pages.policy_page(_rows("benchmarks/policy.json")),
         "benchmarks/viewer.md": benchmark_pages.viewer_page(_rows("benchmarks/viewer.json")),
         "benchmarks/train.md": benchmark_pages.train_page(_rows("benchmarks/train.json")),
+        "robots.md": robots_page((DOCS / "robots.md").read_text(encoding="utf-8"), _rows("benchmarks/arms.json")),
         "physics/validation.md": physics_validation.validation_page(checks),
         "physics.md": physics_validation.physics_page((DOCS / "physics.md").read_text(encoding="utf-8"), checks, strains),
     }

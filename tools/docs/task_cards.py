@@ -45,6 +45,7 @@ def card(uid: str, replays: list[dict[str, str]]) -> str:
     task = spec.cls
     facts = [
         f"- gripper counts: {', '.join(map(str, task.GRIPPER_COUNTS))} (default {task.DEFAULT_NUM_GRIPPERS})",
+        _arms(task),
         f"- reward modes: {', '.join(task.SUPPORTED_REWARD_MODES)}",
         f"- max episode steps: {spec.max_episode_steps}",
     ]
@@ -56,6 +57,13 @@ def card(uid: str, replays: list[dict[str, str]]) -> str:
     return "\n\n".join(
         [f"## {uid}", picture, *shown, "\n".join(facts), inspect.cleandoc(task.__doc__), "**Options:**", _bullets(lines)]
     )
+
+
+def _arms(task: type[DeformableEnv]) -> str:
+    """Return where arms stand by default, and which episodes they get."""
+    num = task.DEFAULT_NUM_GRIPPERS
+    places = ", ".join("(" + ", ".join(f"{x:.2f}" for x in base[:3, 3] + 0.0) + ")" for base in task.default_arm_bases(num))
+    return f"- arms, one for each gripper: {num} stand at {places} m; episodes that they do not reach are drawn anew"
 
 
 def tables(rows: list[dict[str, Any]]) -> str:

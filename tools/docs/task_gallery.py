@@ -14,11 +14,11 @@ import gymnasium as gym
 import numpy as np
 from mani_skill.utils.registration import REGISTERED_ENVS
 from mani_skill.utils.sapien_utils import look_at
-from mani_skill.utils.wrappers.flatten import FlattenActionSpaceWrapper
 from PIL import Image
 
 import maniskill_grpd  # noqa: F401  (registers the tasks)
 from maniskill_grpd.experts import EXPERTS, make_expert
+from maniskill_grpd.runs.environments import join_actions
 
 
 class Episode(NamedTuple):
@@ -73,7 +73,7 @@ def play_expert(env_id: str, episode: Episode) -> tuple[list[Image.Image], int]:
     target = task.CAMERA_TARGET if episode.target is None else episode.target
     camera = {"fov": episode.field_of_view or task.CAMERA_FOV, "pose": look_at(episode.position or task.CAMERA_POSITION, target)}
     env = gym.make(env_id, sim_backend="cpu", render_mode="rgb_array", human_render_camera_configs=camera, **episode.options)
-    env = FlattenActionSpaceWrapper(env) if isinstance(env.action_space, gym.spaces.Dict) else env
+    env = join_actions(env)
     env.reset(seed=episode.seed)
     expert = make_expert(env_id, env)
     frames, num_steps = [_frame(env)], None

@@ -26,6 +26,7 @@ def test_what_the_file_does_not_have_is_refused(tmp_path):
         ({"tcp_link": "panda_link0"}, "no joint of .* moves 'panda_link0'"),
         ({"rest_qpos": (0.0,)}, "must have 7 numbers, got 1"),
         ({"rest_qpos": (0.0,) * 7}, "out of the limits .* of panda_joint4: 0.0"),
+        ({"accelerations": (1.0,)}, "accelerations of 'panda' must be 7 numbers > 0"),
         ({"finger_joints": ("thumb",)}, "has no joints \\['thumb'\\]"),
     ):
         with pytest.raises(ValueError, match=message):

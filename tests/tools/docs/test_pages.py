@@ -26,6 +26,7 @@ def written():
         "benchmarks/train.md",
         "physics/validation.md",
         "physics.md",
+        "robots.md",
     ],
 )
 def test_a_page_is_what_make_docs_writes(written, name):
