@@ -29,9 +29,9 @@ STEPS = wp.constant(12)
 # Share of the way to the posture that the joints are drawn in one control step, and the largest share of what they can move.
 POSTURE_GAIN, POSTURE_SHARE = wp.constant(0.05), wp.constant(0.2)
 # Rounds in which object, colliders and arms take turns to shorten the motion of grippers.
-ROUNDS = wp.constant(8)
-# How often the target of an arm yields to the table or the base of another arm.
-ATTEMPTS = wp.constant(3)
+ROUNDS = wp.constant(24)
+# How often an arm is solved for: at last for where its TCP is already.
+ATTEMPTS = wp.constant(4)
 
 
 @wp.func
@@ -89,21 +89,24 @@ def solve_arm(arms: Arms, world: int, arm: int, dt: float, target: wp.vec3, boun
 def step_arm(arms: Arms, world: int, arm: int, dt: float, target: wp.vec3, plane: wp.vec4):
     """Write the next joint positions of an arm, and where they bring its TCP.
 
-    Where links would come into the table or another arm's base, the target yields; where that does not help the arm stands still.
+    Where links would come into the table or another arm's base, the target yields; where that does not help the TCP stays, and
+    the joints are drawn to rest as far as they may; else the arm stands still.
     """
     bounds = next_range(arms, world, arm, dt)
     goal = target * 1.0
     q = Joints()
     blocked = bool(True)
-    for _attempt in range(ATTEMPTS):
+    for attempt in range(ATTEMPTS):
         if blocked:
+            if attempt == ATTEMPTS - 1:
+                goal = tool_position(arms, world, arm, present(arms, world, arm))
             q = solve_arm(arms, world, arm, dt, goal, bounds, 3 + 3 * arms.holds_rotation[arm])
             away = overlap(arms, world, arm, q, plane)
+            arms.refused[world, arm] = attempt == ATTEMPTS - 1
             blocked = wp.length_sq(away) > 0.0
             goal += away
     if blocked:
         q = present(arms, world, arm)
-    arms.refused[world, arm] = blocked
     for joint in range(wp.static(NUM_JOINTS)):
         arms.next[world, arm, joint] = q[joint]
     arms.reached[world, arm] = tool_position(arms, world, arm, q)
