@@ -20,18 +20,18 @@ def to_success_table(rows: Sequence[Row]) -> str:
     played = [row for row in rows if "success_at_end" in row]
     floating = {_case(row): row for row in played if row["grippers"] == "floating"}
     lines = [
-        f"Success at the end in {played[0]['num_episodes']} unseen episodes:",
+        "Success at the end in unseen episodes:",
         "",
-        "| task | grippers | actor | floating | arms | steps lost | steps refused | episodes drawn anew, mean |",
-        "|---|--:|---|--:|--:|--:|--:|--:|",
+        "| task | grippers | actor | episodes | floating | arms | steps lost | steps refused | episodes drawn anew, mean |",
+        "|---|--:|---|--:|--:|--:|--:|--:|--:|",
     ]
     for row in played:
         if row["grippers"] != "floating":
             options = "".join(f", `{option}`" for option in row["options"])
             beside = floating[_case(row)]["success_at_end"]
             lines.append(
-                f"| {row['env']}{options} | {row['num']} | {row['actor']} | {beside:.1%} | {row['success_at_end']:.1%} | "
-                f"{row['share_lost']:.1%} | {row['share_refused']:.1%} | {row['num_redrawn']:.2f} |"
+                f"| {row['env']}{options} | {row['num']} | {row['actor']} | {row['num_episodes']} | {beside:.1%} | "
+                f"{row['success_at_end']:.1%} | {row['share_lost']:.1%} | {row['share_refused']:.1%} | {row['num_redrawn']:.2f} |"
             )
     return "\n".join(lines) + "\n"
 
