@@ -95,7 +95,7 @@ def as_smoke_test(study: Study) -> Study:
         question=question,
         claims=(),
         budget=SMOKE_BUDGET,
-        train_options=SMOKE_OPTIONS,
+        train_options={**study.train_options, **SMOKE_OPTIONS},
         is_smoke_test=True,
     )
 
