@@ -25,11 +25,13 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-# Replays of the tasks and the shipped checkpoints, and pages that follow from committed measurements; benchmarks and studies write
-# the measurements.
+# Replays of the tasks and the shipped checkpoints, pages that follow from committed measurements (benchmarks and studies write
+# those), and the site, in build/site/html.
 docs: install
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[docs]"
 	$(BIN)/python -m tools.docs.replays
 	$(BIN)/python -m tools.docs
+	$(BIN)/python -m tools.docs.site
 
 # Changes to the program that tests must notice, and whether they do.
 mutants: install

@@ -9,6 +9,7 @@ from typing import Any
 from tests.physics.validation.record import Check
 from tools.docs import benchmark_pages, physics_validation
 from tools.docs.arm_tables import robots_page
+from tools.docs.leaderboard import leaderboard_page, read_results
 from tools.docs.task_cards import tasks_page
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -21,6 +22,7 @@ def pages() -> dict[str, str]:
         "tasks.md": tasks_page(
             _rows("benchmarks/tasks.json"), _rows("benchmarks/goal_shapes.json"), _rows("replays/replays.json")
         ),
+        "leaderboard.md": leaderboard_page(read_results(DOCS / "leaderboard"), _rows("benchmarks/tasks.json")),
         "benchmarks/cameras.md": benchmark_pages.cameras_page(_rows("benchmarks/cameras.json")),
         "benchmarks/env.md": benchmark_pages.env_page(_rows("benchmarks/env.json")),
         "benchmarks/physics.md": benchmark_pages.physics_page(_rows("benchmarks/physics.json")),
