@@ -4,7 +4,7 @@ A fingerprint has four parts:
 
 - `solver`: the positions of a short rollout of the run's own task, fixed seeds and actions;
 - `task`: observations and rewards of that rollout;
-- `learner`: the weights of the run's own policy after one small update by its own algorithm;
+- `learner`: the weights of the run's own policy after one small update by its own algorithm, and the metrics of that;
 - `code`: the source of all that decides a run, without comments and docstrings, with the versions of the libraries.
 
 The first three are of bits: a change of the text alone leaves them, and they are comparable on one kind of processor only. The
@@ -70,7 +70,7 @@ def _fingerprint_task(envs: ManiSkillVectorEnv) -> dict[str, str]:
 
 
 def _fingerprint_learner(config: TrainConfig, envs: ManiSkillVectorEnv) -> str:
-    """Hash the weights after one update of the run's policy by its algorithm.
+    """Hash the weights after one update of the run's policy by its algorithm, and the metrics of that update.
 
     Sizes, seeds and the number of threads are fixed, steps are large; all else that says how it learns is the run's own.
     """
@@ -88,9 +88,11 @@ def _fingerprint_learner(config: TrainConfig, envs: ManiSkillVectorEnv) -> str:
         policy = make_policy(small.policy, envs.unwrapped.graph_schema, **options).to(envs.device)
         trainer = Trainer(small, policy, envs)
         trainer.start_episodes()
-        trainer.collect_and_learn()
+        _, _, losses = trainer.collect_and_learn()
         torch.set_num_threads(num_threads)
-    return digest(policy.parameters())
+    # Metrics too: a step that was too large may have been taken back altogether.
+    metrics = torch.tensor([losses[name] for name in sorted(losses)], dtype=torch.float64)
+    return digest([*policy.parameters(), metrics])
 
 
 def hash_trajectories(env: gym.Env, num_steps: int) -> str:
