@@ -58,7 +58,7 @@ def clone(config: CloneConfig) -> list[dict[str, Any]]:
     if config.markdown is not None:
         expert = play(lambda env: ExpertActor(make_expert(config.env_id, env)), config)
         config.markdown.parent.mkdir(parents=True, exist_ok=True)
-        config.markdown.write_text(to_markdown(config, results, expert, demonstrations, progress))
+        config.markdown.write_text(to_markdown(config, results, expert, demonstrations, progress), encoding="utf-8")
     return results
 
 

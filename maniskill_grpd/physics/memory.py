@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 
 import torch
@@ -19,11 +20,13 @@ def check_memory(whose: str, num_bytes: int, purpose: str, device: torch.device)
     Raises:
         ValueError: With what is needed and what there is.
     """
-    if device.type == "cuda":
-        available = torch.cuda.mem_get_info(device)[0]
-    else:
-        available = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    available = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else _main_memory()
     if num_bytes > available:
         raise ValueError(
             f"{whose} need {num_bytes / 2**30:.1f} GiB for {purpose} alone, {device} has {available / 2**30:.1f} GiB"
         )
+
+
+def _main_memory() -> float:
+    """Return the memory of the machine in bytes; infinity on Windows, which does not tell it this way."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else math.inf
