@@ -1,11 +1,11 @@
 """What a trust region protects: BPP and PPO from the same cloned policy.
 
-python examples/start_from_demonstrations.py [--seeds 1 2 3] [--total_timesteps N] --json docs/results/data/demonstrations.json
+python examples/start_from_demonstrations.py [--seeds 1 2 3] [--total_timesteps N] --json docs/results/demonstrations.json
 
 Records the expert of ClothHanging-v1, then trains from it with both algorithms: `train --demonstrations FILE --algorithm A
 --seed N`. With one seed both start from the same policy. With --untrained_values the value function is left as it was made, so
-that the first advantages are noise. The file gets the evaluations of every run, the first of them that of the clone; runs that it
-holds already are not repeated.
+that the first advantages are noise; --exploration large explores with three times the deviation, correlated. The file gets the
+evaluations of every run, the first of them that of the clone; runs that it holds already are not repeated.
 `python -m tools.docs` makes docs/results/demonstrations.md of it.
 """
 
@@ -28,6 +28,7 @@ ENV_ID = "ClothHanging-v1"
 ENV_KWARGS = ("resolution=64", "graph_nodes=25")
 DEMONSTRATIONS = Path("demos/start_from_demonstrations")
 ALGORITHMS = ("bpp", "ppo")
+EXPLORATION = {"small": "", "large": "--noise_correlation 0.5 --noise_schedule linear --policy_kwargs init_std=0.15"}
 SETTINGS = "--eval_freq 1 --num_eval_envs 20 --no_capture_video --checkpoint_freq 1000"
 
 
@@ -39,10 +40,22 @@ def demonstrate(num_episodes: int) -> Path:
     return path
 
 
-def train_from(path: Path, algorithm: str, seed: int, total_timesteps: int, *, fit_values: bool) -> dict[str, Any]:
+def train_from(
+    path: Path, algorithm: str, seed: int, total_timesteps: int, *, exploration: str, fit_values: bool
+) -> dict[str, Any]:
     """Train once; return what was run, the commit, and the evaluations by environment step."""
     choices = ["--algorithm", algorithm, "--seed", str(seed), "--total_timesteps", str(total_timesteps)]
-    words = ["--env_id", ENV_ID, "--env_kwargs", *ENV_KWARGS, "--demonstrations", str(path), *choices, *SETTINGS.split()]
+    words = [
+        "--env_id",
+        ENV_ID,
+        "--env_kwargs",
+        *ENV_KWARGS,
+        "--demonstrations",
+        str(path),
+        *choices,
+        *SETTINGS.split(),
+        *EXPLORATION[exploration].split(),
+    ]
     run_dir = train(parse_train_options(words), warm_start=partial(start_from_demonstrations, fit_values=fit_values))
     rows = read_rows(run_dir / "metrics.jsonl")
     run = json.loads((run_dir / "config.json").read_text(encoding="utf-8"))
@@ -50,6 +63,7 @@ def train_from(path: Path, algorithm: str, seed: int, total_timesteps: int, *, f
     return {
         "algorithm": algorithm,
         "seed": seed,
+        "exploration": exploration,
         "values": "fitted" if fit_values else "untrained",
         "command": "maniskill-grpd train " + " ".join(words),
         "commit": run["git"] and run["git"]["commit"],
@@ -67,17 +81,19 @@ def main() -> None:
     parser.add_argument("--num_episodes", type=int, default=80, help="episodes that the expert demonstrates")
     parser.add_argument("--total_timesteps", type=int, default=6_400, help="environment steps of each training")
     parser.add_argument("--algorithms", nargs="+", default=list(ALGORITHMS), choices=ALGORITHMS, help="algorithms to train with")
+    parser.add_argument("--exploration", default="small", choices=EXPLORATION, help="noise of the actions in training")
     parser.add_argument("--untrained_values", action="store_true", help="leave the value function as it was made")
     parser.add_argument("--json", type=Path, required=True, help="file of the runs")
     arguments = parser.parse_args()
     runs = json.loads(arguments.json.read_text(encoding="utf-8")) if arguments.json.exists() else []
     values = "untrained" if arguments.untrained_values else "fitted"
-    known = {(run["algorithm"], run["seed"], run["values"]) for run in runs}
+    known = {(run["algorithm"], run["seed"], run["values"], run["exploration"]) for run in runs}
     path = demonstrate(arguments.num_episodes)
     for seed, algorithm in itertools.product(arguments.seeds, arguments.algorithms):
-        if (algorithm, seed, values) not in known:
+        if (algorithm, seed, values, arguments.exploration) not in known:
             fitted = not arguments.untrained_values
-            runs.append(train_from(path, algorithm, seed, arguments.total_timesteps, fit_values=fitted))
+            options = {"exploration": arguments.exploration, "fit_values": fitted}
+            runs.append(train_from(path, algorithm, seed, arguments.total_timesteps, **options))
             arguments.json.write_text(json.dumps(runs, indent=1) + "\n", encoding="utf-8")
 
 

@@ -2,7 +2,8 @@
 
 maniskill-grpd train --env_id RopeShaping-v1 --policy grpd --algorithm bpp --num_envs 64 --total_timesteps 1_000_000 --seed 1
 
-With --demonstrations FILE the policy first clones what `record` wrote, and training goes on from there.
+With --demonstrations FILE the policy first clones what `record` wrote, and training goes on from there with little noise, which
+is not correlated whatever the task recommends.
 
 What a task recommends for its trainings (TRAINING in its class) stands where the command line is silent, and is shown at the
 start; --no_recommended leaves it out.
@@ -65,7 +66,11 @@ def _parse_new(words: Sequence[str], *, is_plain: bool) -> TrainConfig:
     """Parse the options of a new training; where they are silent, what its task recommends or the defaults stand."""
     finder = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     finder.add_argument("--env_id", "--env-id", default=TrainConfig.env_id)
-    settings = {} if is_plain else recommended_settings(finder.parse_known_args(words)[0].env_id)
+    finder.add_argument("--demonstrations")
+    given = finder.parse_known_args(words)[0]
+    settings = {} if is_plain else recommended_settings(given.env_id)
+    if given.demonstrations:  # what explores from nothing is more than what a clone can bear
+        settings = {name: value for name, value in settings.items() if name not in ("noise_correlation", "noise_schedule")}
     config = parse_options(__name__, TrainConfig, words, dataclasses.replace(TrainConfig(), **settings))
     return dataclasses.replace(config, env_kwargs=complete_env_kwargs(config.env_kwargs, settings.get("env_kwargs", ())))
 

@@ -24,7 +24,7 @@ from maniskill_grpd.runs.seeds import FIRST_VIDEO_SEED
 from maniskill_grpd.runs.video import record_video
 
 NUM_VIDEO_EPISODES = 4
-CLONED_STD = 0.15
+CLONED_STD = 0.05
 """Standard deviation with which a policy that clones demonstrations explores, in units of the largest action."""
 
 WarmStart = Callable[[Trainer], None]

@@ -191,14 +191,14 @@ def test_help_explains_the_script(script, capsys):
 
 
 def test_frames_are_made_fit_for_codecs():
-    frame = video._frame(torch.full((1, 5, 7, 4), 200))
+    frame = video.tile(torch.full((1, 5, 7, 4), 200))
     assert frame.shape == (4, 6, 3)
     assert frame.dtype == np.uint8
 
 
 def test_episodes_are_shown_side_by_side():
     pictures = torch.arange(3, dtype=torch.uint8)[:, None, None, None].expand(3, 4, 6, 3)
-    grid = video._frame(pictures)
+    grid = video.tile(pictures)
     assert grid.shape == (8, 12, 3)
     assert [grid[row, column, 0] for row in (0, 7) for column in (0, 11)] == [0, 1, 2, 255]
 

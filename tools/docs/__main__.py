@@ -12,7 +12,7 @@ from pathlib import Path
 
 from maniskill_grpd.experiments.pages import write_study_page, write_summary_page
 from maniskill_grpd.experiments.studies import STUDIES
-from tools.docs.pages import DOCS, draw_physics, pages
+from tools.docs.pages import DOCS, draw, pages
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
     for name, text in pages().items():
         (DOCS / name).write_text(text, encoding="utf-8")
         written.append(DOCS / name)
-    draw_physics()
+    draw()
     written += [write_study_page(study, DOCS / "results") for study in STUDIES.values()]
     written.append(write_summary_page(DOCS / "results"))
     sys.stdout.writelines(f"{path}\n" for path in written)

@@ -18,7 +18,7 @@ MODES = ("forward", "forward+backward")
 
 def env_page(rows: Sequence[Row]) -> str:
     """Return the page of `benchmarks/env.py`."""
-    table = _table(
+    table = markdown_table(
         ["environment", "worlds", "env-steps/s (median)", "min - max", "times the peer"],
         [
             [row["env"], row["num_worlds"], f"{row['env_steps_per_s']:,.0f}", _spread(row), _cell(row, "ratio", ".0f")]
@@ -39,7 +39,7 @@ def viewer_page(rows: Sequence[Row]) -> str:
         "States of 16 cloths of 100 nodes on ClothHanging-v1 a second, the shipped policy acting, as fast as they go. Processor\n"
         "seconds are those of the process of the viewer, all its threads; what a browser needs to draw is not in them."
     )
-    frames = _table(
+    frames = markdown_table(
         ["what", "worlds", "frames/s", "frames per processor second"],
         [
             [row["what"], row["num_worlds"], f"{row['frames_per_s']:.1f}", f"{row['frames_per_processor_s']:.1f}"]
@@ -47,7 +47,7 @@ def viewer_page(rows: Sequence[Row]) -> str:
             if "what" in row
         ],
     )
-    memory = _table(
+    memory = markdown_table(
         ["seconds", "visits", "MiB after a fifth of the time", "MiB at the end", "threads", "threads at the end"],
         [
             [
@@ -75,7 +75,7 @@ def cameras_page(rows: Sequence[Row]) -> str:
         "draw the same meshes and take turns; the ray cast updates its hierarchy for each image, as cloth moves. `ratio` is the\n"
         "median of the ratios within a turn; the last columns say how well both agree."
     )
-    images = _table(
+    images = markdown_table(
         ["renderer", "nodes", "pixels", "worlds", "images/s", "ratio", "within 0.1 mm", "pixels of one alone"],
         [
             [
@@ -92,12 +92,12 @@ def cameras_page(rows: Sequence[Row]) -> str:
             if "renderer" in row
         ],
     )
-    steps = _table(
+    steps = markdown_table(
         ["environment", "observation", "worlds", "env-steps/s"],
         [[row["env"], row["obs_mode"], row["num_worlds"], f"{row['env_steps_per_s']:,.0f}"] for row in rows if "env" in row],
         text_columns=(0, 1),
     )
-    pictures = _table(
+    pictures = markdown_table(
         ["picture of", "ms"], [[row["picture_of"], f"{row['milliseconds']:.1f}"] for row in rows if "picture_of" in row]
     )
     command = "python benchmarks/cameras.py --json docs/benchmarks/cameras.json"
@@ -109,7 +109,7 @@ def cameras_page(rows: Sequence[Row]) -> str:
 def train_page(rows: Sequence[Row]) -> str:
     """Return the page of `benchmarks/train.py`."""
     shares = ("share_simulation", "share_policy", "share_update")
-    table = _table(
+    table = markdown_table(
         [
             "learner",
             "env-steps/s (median)",
@@ -149,7 +149,7 @@ CPU the time of the processor counts, so that other processes do not. `ratio` is
 "springs only" leaves out bending and table, which ours computes. Needs the extra `newton`; without it only ours is
 measured."""
     solved = [row for row in rows if "solver" in row]
-    table = _table(
+    table = markdown_table(
         ["scene", "worlds", "solver", "substeps x iterations", "largest stretch", "env-steps/s (median)", "min - max"]
         + ["ns per projection", "ratio", "to springs only"],
         [
@@ -176,7 +176,7 @@ measured."""
 def _bounds(rows: Sequence[Row]) -> list[str]:
     """Say what limits ours, from counted bytes and operations."""
     peaks = next(row for row in rows if "peak_gflop_per_s" in row)
-    table = _table(
+    table = markdown_table(
         ["scene", "working set of a group of worlds", "flop per byte", "GFLOP/s", "GB/s in caches"],
         [
             [
@@ -222,7 +222,7 @@ def policy_page(rows: Sequence[Row]) -> str:
         )
     parts = [
         f"Forward and backward, {large:,} nodes, {actuators} actuators, 8 graphs:",
-        _table(["policy", "parameters", "ms", "times grpd", "peak MiB", "slope of time", "slope of memory"], summary),
+        markdown_table(["policy", "parameters", "ms", "times grpd", "peak MiB", "slope of time", "slope of memory"], summary),
         f"Slopes are d log / d log(nodes) from {SLOPE_FROM} nodes up.",
     ]
     for mode in MODES:
@@ -257,7 +257,7 @@ def _grid(rows: Sequence[Row], names: Sequence[str], mode: str, key: str) -> str
             row = _find(rows, name, nodes, actuators, mode)
             cells.append(f"{row[key]:.1f}" + (f" ({row['ratio']:.1f})" if key == "ms" and "ratio" in row else ""))
         lines.append(cells)
-    return _table(["policy", *(f"N={nodes}, A={actuators}" for nodes, actuators in sizes)], lines)
+    return markdown_table(["policy", *(f"N={nodes}, A={actuators}" for nodes, actuators in sizes)], lines)
 
 
 def _find(rows: Sequence[Row], policy: str, nodes: int, actuators: int, mode: str) -> Row:
@@ -271,7 +271,8 @@ def _page(title: str, command: str, rows: Sequence[Row], *parts: str) -> str:
     return "\n\n".join([f"# {title}", origin, *parts]) + "\n"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[Any]], text_columns: Sequence[int] = (0,)) -> str:
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[Any]], text_columns: Sequence[int] = (0,)) -> str:
+    """Return a table in Markdown; columns are numbers, right-aligned, unless they are among the text columns."""
     rule = "|" + "".join("---|" if column in text_columns else "--:|" for column in range(len(head)))
     return "\n".join([_line(head), rule, *map(_line, rows)])
 

@@ -9,7 +9,9 @@ from typing import Any
 from tests.physics.validation.record import Check
 from tools.docs import benchmark_pages, physics_validation
 from tools.docs.arm_tables import robots_page
+from tools.docs.demonstrations_page import demonstrations_page, draw_demonstrations
 from tools.docs.leaderboard import leaderboard_page, read_results
+from tools.docs.planner_page import planner_page
 from tools.docs.task_cards import tasks_page
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -30,14 +32,17 @@ def pages() -> dict[str, str]:
         "benchmarks/viewer.md": benchmark_pages.viewer_page(_rows("benchmarks/viewer.json")),
         "benchmarks/train.md": benchmark_pages.train_page(_rows("benchmarks/train.json")),
         "robots.md": robots_page((DOCS / "robots.md").read_text(encoding="utf-8"), _rows("benchmarks/arms.json")),
+        "planner.md": planner_page(_rows("benchmarks/planner.json")),
+        "results/demonstrations.md": demonstrations_page(_rows("results/demonstrations.json")),
         "physics/validation.md": physics_validation.validation_page(checks),
         "physics.md": physics_validation.physics_page((DOCS / "physics.md").read_text(encoding="utf-8"), checks, strains),
     }
 
 
-def draw_physics() -> None:
-    """Draw the plots of the validation of the physics."""
+def draw() -> None:
+    """Draw the plots of the validation of the physics, and the curves of trainings from demonstrations."""
     physics_validation.draw_plots(_checks(), DOCS / "physics")
+    draw_demonstrations(_rows("results/demonstrations.json"), DOCS / "results")
 
 
 def _checks() -> list[Check]:

@@ -13,14 +13,17 @@ from maniskill_grpd.tasks import DeformableEnv
 
 COMMAND = "python benchmarks/tasks.py --json docs/benchmarks/tasks.json"
 GOAL_SHAPES_COMMAND = (
-    "python examples/goal_shape_reachability.py --seeds 1000000 1000001 1000002 1000003 --json docs/benchmarks/goal_shapes.json"
+    "python examples/goal_shape_reachability.py --iterations 3 --shapes W S spiral --seeds 1000000 1000001 "
+    "--json docs/benchmarks/goal_shapes.json"
 )
 POLICIES = ("random", "still", "push", "expert")
 EXPERT_LIMITS = """\
 The expert of RopeShaping-v1 was measured on the W, its default goal. Other shapes it lays less well: of 50 episodes each
 it lays no S and no spiral, of W, U, L and O 98 to 100 % ([measured earlier](results/earlier/unseen_shapes.md)). An S can
 be laid: a policy trained on the W does so in 89 % of 200 episodes ([measured earlier](results/earlier/rope_shaping.md)).
-No policy has laid a spiral reliably."""
+No policy has laid a spiral reliably. On an earlier solver open plans, of waypoints relative to the goals, laid all seven
+shapes with two and with four grippers, in 55 of 56 episodes. Before ropes collided with themselves the planner below, with four
+iterations, ended four of four other episodes of the S in success and three of four of the spiral, with four grippers."""
 
 
 def tasks_page(rows: list[dict[str, Any]], searches: list[dict[str, Any]], replays: list[dict[str, str]]) -> str:
@@ -104,12 +107,11 @@ def goal_shapes(searches: list[dict[str, Any]]) -> str:
     counts = sorted({row["num_grippers"] for row in searches}, reverse=True)
     lines = [
         "The expert of RopeShaping-v1 is made for W and shapes like it: its 100% above are those of W with four grippers. By",
-        "goal shape: its success in 64 episodes; in how many of the episodes searched an optimiser found waypoints for the",
-        "grippers, followed without looking, that end in success; and the median number of plans it played until then, of at",
-        "most 4,800.",
+        "goal shape: its success in 64 episodes; in how many episodes a planner that knows the reward alone",
+        "([planner.md](planner.md)) ends in success, and in how many it succeeds at some time; median final mean distance.",
         "",
-        "| goal shape | " + " | ".join(f"expert, {n} grippers | found | plans" for n in counts) + " |",
-        "|---|" + "--:|" * 3 * len(counts),
+        "| goal shape | " + " | ".join(f"expert, {n} grippers | at the end | once | distance" for n in counts) + " |",
+        "|---|" + "--:|" * 4 * len(counts),
     ]
     for shape in dict.fromkeys(row["shape"] for row in searches):
         cells = [_reached([row for row in searches if (row["shape"], row["num_grippers"]) == (shape, n)]) for n in counts]
@@ -118,9 +120,9 @@ def goal_shapes(searches: list[dict[str, Any]]) -> str:
 
 
 def _reached(rows: list[dict[str, Any]]) -> str:
-    solved = [row["plays"] for row in rows if row["success"]]
-    plays = f"{statistics.median(solved):,.0f}" if solved else "-"
-    return f"{rows[0]['expert']:.0%} | {len(solved)} of {len(rows)} | {plays}"
+    ended, once = (sum(row[name] for row in rows) for name in ("success_at_end", "success_once"))
+    distance = 100.0 * statistics.median(row["mean_distance"] for row in rows)
+    return f"{rows[0]['expert']:.0%} | {ended} of {len(rows)} | {once} of {len(rows)} | {distance:.1f} cm"
 
 
 def _by_configuration(rows: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
