@@ -43,6 +43,19 @@ def test_stable_baselines3_sees_the_episodes_of_a_single_world_through_its_own_m
     assert not any(episode["success"] for episode in learner.ep_info_buffer)
 
 
+def test_sac_of_stable_baselines3_learns_from_a_single_world():
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.monitor import Monitor
+
+    env = gym.make("RopeShaping-v1", sim_backend="cpu", obs_mode="state", max_episode_steps=8)
+    settings = {"learning_starts": 16, "buffer_size": 100, "batch_size": 8}
+    learner = stable_baselines3.SAC("MlpPolicy", Monitor(CPUGymWrapper(env)), policy_kwargs={"net_arch": [16]}, **settings)
+    before = [parameter.clone() for parameter in learner.actor.parameters()]
+    learner.learn(24)
+    assert [episode["l"] for episode in learner.ep_info_buffer] == [8] * 3
+    assert any((a != b).any() for a, b in zip(before, learner.actor.parameters(), strict=True))
+
+
 def test_ppo_as_in_maniskill_reports_its_metrics():
     config = maniskill_ppo.PpoConfig(
         num_envs=4, num_eval_envs=2, num_steps=20, num_minibatches=4, update_epochs=1, total_timesteps=240, sim_backend="cpu"

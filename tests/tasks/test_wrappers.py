@@ -114,9 +114,10 @@ def test_a_plain_environment_passes_the_checks_of_gymnasium(make_env, obs_mode):
     check_env(CPUGymWrapper(make_env(1, obs_mode=obs_mode)), skip_render_check=True, skip_close_check=True)
 
 
-def test_gymnasium_vectorises_plain_environments():
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_gymnasium_vectorises_plain_environments(mode):
     env = gym.make_vec(
-        "RopeShaping-v1", num_envs=2, vectorization_mode="sync", wrappers=[CPUGymWrapper], sim_backend="cpu", obs_mode="state"
+        "RopeShaping-v1", num_envs=2, vectorization_mode=mode, wrappers=[CPUGymWrapper], sim_backend="cpu", obs_mode="state"
     )
     obs, _ = env.reset(seed=[4, 5])
     assert obs.shape[0] == 2
