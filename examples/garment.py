@@ -17,6 +17,7 @@ from mani_skill.utils.sapien_utils import look_at
 from PIL import Image
 
 from maniskill_grpd.physics import Model, Solver, capsule, cloth, cloth_from_mesh
+from maniskill_grpd.physics.crossings import count_crossings
 from maniskill_grpd.tasks.pictures.drawing import Drawing, Sheet, Solid
 from maniskill_grpd.tasks.pictures.warp_painter import WarpPainter
 
@@ -39,23 +40,6 @@ def sew_shirt(num_nodes: int) -> Model:
     vertices = np.concatenate([layer + rise[:, None] * up, layer - rise[:, None] * up])
     faces = np.concatenate([panel.faces, panel.faces[:, ::-1] + len(layer)])
     return cloth_from_mesh(vertices, faces, radius=panel.radius)
-
-
-def count_crossings(model: Model, positions: np.ndarray) -> int:
-    """Return how many edges cross a triangle with which they share no node."""
-    surface = trimesh.Trimesh(positions, model.faces, process=False)
-    a, b = positions[model.mesh_edges[:, 0], None], positions[model.mesh_edges[:, 1], None]
-    corners = surface.triangles
-    first, second, along = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], b - a
-    across = np.cross(along, second[None])
-    determinant = (across * first).sum(-1)
-    with np.errstate(divide="ignore", invalid="ignore"):  # an edge along a triangle's plane does not cross it
-        u = ((a - corners[:, 0]) * across).sum(-1) / determinant
-        turned = np.cross(a - corners[:, 0], first[None])
-        v, t = (along * turned).sum(-1) / determinant, (second * turned).sum(-1) / determinant
-        crosses = (u > 0.0) & (v > 0.0) & (u + v < 1.0) & (t > 0.0) & (t < 1.0)
-    shares = (model.mesh_edges[:, None, :, None] == model.faces[None, :, None, :]).any((2, 3))
-    return int((crosses & ~shares).sum())
 
 
 def draw(solver: Solver, bar: trimesh.Trimesh, path: Path) -> None:
@@ -82,7 +66,7 @@ def main() -> None:
     most = crossings = 0
     for _ in range(arguments.steps):
         solver.step()
-        crossings = count_crossings(solver.model, solver.positions[0].double().numpy())
+        crossings = int(count_crossings(solver.model, solver.positions)[0])
         most = max(most, crossings)
     dropped, lowest = int(solver.dropped_contacts[0]), float(solver.positions[0, :, 2].min())
     print(
