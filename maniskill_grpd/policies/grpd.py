@@ -101,7 +101,12 @@ class GRPD(EncodedPolicy):
     def prepare(self, graph: Mapping[str, Any]) -> dict[str, Any]:
         """See `Policy.prepare`."""
         scaled = super().prepare(graph)
-        return self.encoder.prepare(scaled) if isinstance(self.encoder, GRPDEncoder) else scaled
+        if not isinstance(self.encoder, GRPDEncoder):
+            return scaled
+        prepared = self.encoder.prepare(scaled)
+        if "critic" in scaled:
+            prepared["critic"] = self.encoder.prepare(scaled["critic"])
+        return prepared
 
     def make_mean(self, options: GRPDOptions) -> nn.Module:
         """See `EncodedPolicy`."""
