@@ -60,9 +60,11 @@ def test_a_sweep_that_is_asked_to_stop_passes_it_on_and_its_runs_leave_checkpoin
             time.sleep(0.05)
         os.kill(os.getpid(), signal.SIGHUP)
 
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # tests that run under nohup ignore it
     threading.Thread(target=hang_up).start()
     common = [*TINY, "--total_timesteps", "2_000_000", "--checkpoint_freq", "100_000"]
     assert run_sweep("seed=1", common=common) == 130
+    signal.signal(signal.SIGHUP, before)
     assert load_checkpoint(run_dir / "last.pt")["iteration"] >= 1
     assert not (run_dir / "failed.json").exists()
     assert "go on: maniskill-grpd train --resume runs/s/seed=1" in (run_dir / "job.log").read_text()
