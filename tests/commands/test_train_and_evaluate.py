@@ -209,7 +209,7 @@ def test_video_falls_back_to_gif_without_ffmpeg(tmp_path, monkeypatch):
 
     monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", fail)
     frames = [np.full((16, 16, 3), shade, np.uint8) for shade in (0, 120, 240)]
-    path = video._write(frames, tmp_path / "a.mp4", 20)
+    path = video.write_frames(frames, tmp_path / "a.mp4", 20)
     assert path.name == "a.gif"
     assert len(imageio.mimread(path)) == 3
 

@@ -19,7 +19,7 @@ def test_figures_are_those_of_the_logs(tmp_path):
     broken = write_log(tmp_path / "b.jsonl", [1.0, 2.0, 1.5, 4.0, 7.0])  # 1.5 is below 0.8 * 2
     figures = compare_runs.describe([steady, broken])
     assert figures["seeds"] == "2"
-    assert figures["final return (IQM, 95 %)"].startswith("6.0 ")
+    assert figures["final return (mean, 95 %)"].startswith("6.0 ")
     assert figures["iterations whose return collapses"] == "12.5%"  # one of eight
     # the mean of 0, 0, 1.125, 0 and 2 is 0.6
     assert figures["variance over seeds, mean over training"] == "1"

@@ -30,7 +30,9 @@ def test_a_setting_can_be_made_and_observed(env_id, options):
     env = make_env(TrainConfig(env_id=env_id, env_kwargs=to_pairs({**options, "num_threads": 1})), 1)
     graph = env.reset(seed=0)[0]["graph"]
     seen = graph["object"]["mask"].sum().item()
-    if options.get("graph_nodes") is not None:
+    if "visibility" in options:
+        assert 0 < seen <= options.get("keypoints", options["graph_nodes"])
+    elif options.get("graph_nodes") is not None:
         assert seen == options["graph_nodes"]
     else:
         assert seen == pytest.approx(options["resolution"], rel=0.1)

@@ -27,8 +27,11 @@ def test_a_rope_pulled_against_the_post_stays_on_its_side_and_keeps_its_length(m
 
 
 def test_winding_up_stops_when_the_rope_is_used_up(make_env):
-    """Ends that circle against each other: about 0.8 m / (2 pi 0.07 m) turns are there."""
-    env = make_env(12, obs_mode="none")
+    """Ends that circle against each other: about 0.8 m / (2 pi 0.07 m) turns are there.
+
+    Turns that may lie upon each other: a rope that collides with itself climbs its own turns and is stretched by up to 16 %.
+    """
+    env = make_env(12, obs_mode="none", self_collision=False)
     base = env.unwrapped
     sense = torch.where(winding(base) < 0.0, -1.0, 1.0)[:, None, None] * torch.tensor([[[-1.0], [1.0]]])
     for _ in range(100):

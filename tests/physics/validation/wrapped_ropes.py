@@ -12,10 +12,12 @@ def random_pulls(shape: str = "cylinder", *, num_worlds: int = 64, num_steps: in
 
     Every other direction points down, so that ropes that have been lifted come to lie over and around the post.
 
+    Ropes may pass through themselves: what is measured is the leash round the post.
+
     Returns:
         Largest length of a rope over its length at rest, and largest strain of an edge.
     """
-    env = RopeWrappingEnv(num_envs=num_worlds, shapes=shape, obs_mode="none", sim_backend="cpu")
+    env = RopeWrappingEnv(num_envs=num_worlds, shapes=shape, obs_mode="none", sim_backend="cpu", self_collision=False)
     env.reset(seed=0)
     generator = torch.Generator().manual_seed(1)
     rest_lengths = torch.as_tensor(env.solver.model.rest_lengths)
