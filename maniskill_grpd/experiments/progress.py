@@ -8,8 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import TextIO
 
-from maniskill_grpd.experiments.time_left import format_seconds, measured_rate, seconds_left
 from maniskill_grpd.experiments.job import Job
+from maniskill_grpd.experiments.time_left import format_seconds, measured_rate, seconds_left
 from maniskill_grpd.learning.run_log import read_rows
 
 REFRESH_SECONDS = 2.0

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from maniskill_grpd.experiments.time_left import format_seconds, seconds_left
 from maniskill_grpd.experiments.job import Job
 from maniskill_grpd.experiments.launchers import LauncherConfig
 from maniskill_grpd.experiments.progress import ProgressTable, job_line
+from maniskill_grpd.experiments.time_left import format_seconds, seconds_left
 from maniskill_grpd.runs.stop_request import SIGNALS
 
 POLL_SECONDS = 0.5

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from maniskill_grpd.experiments.time_left import STEPS_PER_SECOND, format_seconds, guessed_rate, measured_rate, seconds_left
 from maniskill_grpd.experiments.job import Job
+from maniskill_grpd.experiments.time_left import STEPS_PER_SECOND, format_seconds, guessed_rate, measured_rate, seconds_left
 from maniskill_grpd.experiments.training import Training
 from maniskill_grpd.learning import TrainConfig
 
