@@ -7,17 +7,19 @@ import torch
 from maniskill_grpd.tasks.rope_wrapping import RopeWrappingEnv
 
 
-def random_pulls(shape: str = "cylinder", *, num_worlds: int = 64, num_steps: int = 100) -> tuple[float, float]:
+def random_pulls(
+    shape: str = "cylinder", *, num_worlds: int = 64, num_steps: int = 100, self_collision: bool = False
+) -> tuple[float, float]:
     """Pull both ends of the ropes of RopeWrapping-v1 in random directions in space at full speed, each held for 20 steps.
 
     Every other direction points down, so that ropes that have been lifted come to lie over and around the post.
 
-    Ropes may pass through themselves: what is measured is the leash round the post.
+    Ropes may by default pass through themselves: what is measured then is the leash round the post alone.
 
     Returns:
         Largest length of a rope over its length at rest, and largest strain of an edge.
     """
-    env = RopeWrappingEnv(num_envs=num_worlds, shapes=shape, obs_mode="none", sim_backend="cpu", self_collision=False)
+    env = RopeWrappingEnv(num_envs=num_worlds, shapes=shape, obs_mode="none", sim_backend="cpu", self_collision=self_collision)
     env.reset(seed=0)
     generator = torch.Generator().manual_seed(1)
     rest_lengths = torch.as_tensor(env.solver.model.rest_lengths)
