@@ -63,7 +63,7 @@ RESULTS = """\
 Episodes are the first ones of `evaluate`. The policies are those of `checkpoints/`, made on an earlier solver and reward. Steps
 are those of all environments, plans included; seconds those of the processor, by episode, with the start of the program. At
 commit a6f2ee6 ropes, and the cloth of ClothHanging-v1, did not collide with themselves by default yet. The rows of
-RopeShaping-v1 and those of ClothHanging-v1 were copied from the printed output of the command, whose file was lost. Few episodes are planned
+RopeShaping-v1 and ClothHanging-v1 were copied from what the command printed; its file was lost. Few episodes are planned
 here: the rates are coarse. ClothFolding-v1 is not solved from nothing: on the way up a fold brings less than lying still."""
 REACHABLE = """\
 Which goal shapes of RopeShaping-v1 can be laid, S and spiral among them: [tasks.md](tasks.md)."""
